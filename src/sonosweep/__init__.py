@@ -1,0 +1,1 @@
+"""sonosweep: freehand ultrasound sweeps without a tracker, into trajectories and volumes."""

@@ -1,0 +1,31 @@
+"""What was recorded: frozen objects and their checks."""
+
+from sonosweep.scan.calibration import Calibration, calibration_from_matrix, pixel_to_image
+from sonosweep.scan.channel_data import ChannelData
+from sonosweep.scan.crop import crop_scan, crop_scan_center, resample_scan
+from sonosweep.scan.frames import Frames, FrameView
+from sonosweep.scan.probe import Probe
+from sonosweep.scan.region import Region
+from sonosweep.scan.scan import Companion, Scan
+from sonosweep.scan.trajectory import Trajectory
+from sonosweep.scan.volume import Volume, VolumeGrid, voxel_to_reference
+
+__all__ = [
+    "Calibration",
+    "ChannelData",
+    "Companion",
+    "FrameView",
+    "Frames",
+    "Probe",
+    "Region",
+    "Scan",
+    "Trajectory",
+    "Volume",
+    "VolumeGrid",
+    "calibration_from_matrix",
+    "crop_scan",
+    "crop_scan_center",
+    "pixel_to_image",
+    "resample_scan",
+    "voxel_to_reference",
+]

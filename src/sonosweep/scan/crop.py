@@ -1,0 +1,166 @@
+"""Another field of view or another pixel size, with geometry kept true."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from sonosweep.errors import ScanError
+from sonosweep.geometry import pose_from_parts
+from sonosweep.scan.calibration import Calibration, pixel_to_image
+from sonosweep.scan.frames import Frames, FrameView
+from sonosweep.scan.region import Region
+from sonosweep.scan.scan import Scan
+
+
+def crop_scan(scan: Scan, rectangle_px: tuple[int, int, int, int]) -> Scan:
+    """Return the scan with only a rectangle of each frame.
+
+    The image origin moves to the new first pixel, and poses, calibration and companions
+    follow, so that every pixel that is kept stays where it was.
+
+    Args:
+        scan: What was recorded.
+        rectangle_px: ``(column, row, width, height)`` to keep.
+
+    Raises:
+        ScanError: If the rectangle is empty or reaches outside the frame.
+    """
+    column, row, width, height = rectangle_px
+    rows, columns = scan.frames.shape[1:3]
+    if min(column, row) < 0 or min(width, height) < 1 or column + width > columns:
+        raise ScanError(f"crop {rectangle_px} does not fit a frame of {columns} x {rows} pixels")
+    if row + height > rows:
+        raise ScanError(f"crop {rectangle_px} does not fit a frame of {columns} x {rows} pixels")
+    mask = None
+    if scan.region is not None and scan.region.mask is not None:
+        mask = scan.region.mask[row : row + height, column : column + width]
+    cropped = replace(
+        scan,
+        frames=FrameView(scan.frames, rectangle_px=rectangle_px),
+        region=None if scan.region is None else Region((0, 0, width, height), mask),
+    )
+    if scan.calibration is None:
+        return cropped
+    shift = pixel_to_image(scan.calibration)[:3, :2] @ torch.tensor([column, row]).double()
+    return _move_origin(cropped, shift)
+
+
+def crop_scan_center(scan: Scan, width: int = 320, height: int = 320) -> Scan:
+    """Return the scan with only the middle of each frame; 320 x 320 as in the paper.
+
+    References:
+        Lee et al., section "Dataset 3".
+    """
+    rows, columns = scan.frames.shape[1:3]
+    return crop_scan(scan, ((columns - width) // 2, (rows - height) // 2, width, height))
+
+
+def resample_scan(scan: Scan, width: int = 256, height: int = 256) -> Scan:
+    """Return the scan with frames resized to ``width`` x ``height`` pixels (area mean).
+
+    The field of view stays; spacing, image origin and poses follow.
+
+    Raises:
+        ScanError: If a size is below 1 pixel.
+    """
+    rows, columns = scan.frames.shape[1:3]
+    if min(width, height) < 1:
+        raise ScanError(f"cannot resample to {width} x {height} pixels")
+    region = None
+    if scan.region is not None:
+        region = _resize_region(scan.region, (columns, rows), (width, height))
+    resized = replace(scan, frames=ResizedFrames(scan.frames, width, height), region=region)
+    if scan.calibration is None:
+        return resized
+    factor = (columns / width, rows / height)
+    old = scan.calibration
+    # The outer edges of the image stay, so the centre of the first pixel moves inwards.
+    centre = torch.tensor([(factor[0] - 1) / 2, (factor[1] - 1) / 2]).double()
+    shift = pixel_to_image(old)[:3, :2] @ centre
+    spacing = (old.spacing_mm[0] * factor[0], old.spacing_mm[1] * factor[1])
+    return _move_origin(replace(resized, calibration=replace(old, spacing_mm=spacing)), shift)
+
+
+class ResizedFrames:
+    """Frames resized as they are read, each output pixel the mean of the area it covers."""
+
+    def __init__(self, frames: Frames, width: int, height: int) -> None:
+        self._frames, self._size = frames, (width, height)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Frames, rows, columns and, for colour, channels."""
+        return (len(self._frames), self._size[1], self._size[0], *self._frames.shape[3:])
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of a pixel."""
+        return np.dtype(self._frames.dtype)
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self._frames)
+
+    def __getitem__(self, index: int | slice) -> np.ndarray:
+        """Return one frame, or the frames of a slice."""
+        if isinstance(index, slice):
+            chosen = range(*index.indices(len(self)))
+            stack = np.empty((len(chosen), *self.shape[1:]), self.dtype)
+            for k, source in enumerate(chosen):
+                stack[k] = self[source]
+            return stack
+        return resize_frame(np.asarray(self._frames[index]), *self._size)
+
+
+def resize_frame(frame: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return a frame of another size, each pixel the mean of the area it covers."""
+    if frame.ndim == 3:
+        planes = [resize_frame(frame[..., c], width, height) for c in range(frame.shape[2])]
+        return np.stack(planes, axis=-1)
+    image = Image.fromarray(np.ascontiguousarray(frame, dtype=np.float32))
+    resized = np.asarray(image.resize((width, height), Image.Resampling.BOX))
+    if np.issubdtype(frame.dtype, np.integer):
+        resized = np.rint(resized)
+    return resized.astype(frame.dtype)
+
+
+def _resize_region(region: Region, old: tuple[int, int], new: tuple[int, int]) -> Region:
+    """Return the region on frames of another size, no larger than it was."""
+    scale = (new[0] / old[0], new[1] / old[1])
+    column, row, width, height = region.rectangle_px
+    left, top = int(np.ceil(column * scale[0])), int(np.ceil(row * scale[1]))
+    right, bottom = int((column + width) * scale[0]), int((row + height) * scale[1])
+    mask = None
+    if region.mask is not None:
+        mask = resize_frame(region.mask.astype(np.float32), *new) > 1 - 1e-3
+    return Region((left, top, max(right - left, 1), max(bottom - top, 1)), mask)
+
+
+def _move_origin(scan: Scan, shift_mm: Float[Tensor, "xyz=3"]) -> Scan:
+    """Return the scan with its image origin moved to ``shift_mm`` of the old image."""
+    assert scan.calibration is not None
+    new_to_old = pose_from_parts(torch.eye(3, dtype=torch.float64), shift_mm)
+    calibration: Calibration = scan.calibration
+    if calibration.image_to_probe is not None:
+        calibration = replace(calibration, image_to_probe=calibration.image_to_probe @ new_to_old)
+    poses = scan.image_to_reference
+    companions = {
+        name: replace(
+            companion,
+            origin_mm=(
+                companion.origin_mm[0] - float(shift_mm[0]),
+                companion.origin_mm[1] - float(shift_mm[1]),
+            ),
+        )
+        for name, companion in scan.companions.items()
+    }
+    return replace(
+        scan,
+        calibration=calibration,
+        image_to_reference=None if poses is None else poses @ new_to_old,
+        companions=companions,
+    )
