@@ -7,6 +7,7 @@ from sonosweep.scan.frames import Frames, FrameView
 from sonosweep.scan.probe import Probe
 from sonosweep.scan.region import Region
 from sonosweep.scan.scan import Companion, Scan
+from sonosweep.scan.select import select_frames, select_tracked
 from sonosweep.scan.trajectory import Trajectory
 from sonosweep.scan.volume import Volume, VolumeGrid, voxel_to_reference
 
@@ -27,5 +28,7 @@ __all__ = [
     "crop_scan_center",
     "pixel_to_image",
     "resample_scan",
+    "select_frames",
+    "select_tracked",
     "voxel_to_reference",
 ]

@@ -31,9 +31,8 @@ def crop_scan(scan: Scan, rectangle_px: tuple[int, int, int, int]) -> Scan:
     """
     column, row, width, height = rectangle_px
     rows, columns = scan.frames.shape[1:3]
-    if min(column, row) < 0 or min(width, height) < 1 or column + width > columns:
-        raise ScanError(f"crop {rectangle_px} does not fit a frame of {columns} x {rows} pixels")
-    if row + height > rows:
+    inside = column >= 0 and row >= 0 and column + width <= columns and row + height <= rows
+    if not inside or min(width, height) < 1:
         raise ScanError(f"crop {rectangle_px} does not fit a frame of {columns} x {rows} pixels")
     mask = None
     if scan.region is not None and scan.region.mask is not None:
@@ -45,7 +44,9 @@ def crop_scan(scan: Scan, rectangle_px: tuple[int, int, int, int]) -> Scan:
     )
     if scan.calibration is None:
         return cropped
-    shift = pixel_to_image(scan.calibration)[:3, :2] @ torch.tensor([column, row]).double()
+    shift = pixel_to_image(scan.calibration)[:3, :2] @ torch.tensor(
+        [column, row], dtype=torch.float64
+    )
     return _move_origin(cropped, shift)
 
 
@@ -79,7 +80,7 @@ def resample_scan(scan: Scan, width: int = 256, height: int = 256) -> Scan:
     factor = (columns / width, rows / height)
     old = scan.calibration
     # The outer edges of the image stay, so the centre of the first pixel moves inwards.
-    centre = torch.tensor([(factor[0] - 1) / 2, (factor[1] - 1) / 2]).double()
+    centre = torch.tensor([(factor[0] - 1) / 2, (factor[1] - 1) / 2], dtype=torch.float64)
     shift = pixel_to_image(old)[:3, :2] @ centre
     spacing = (old.spacing_mm[0] * factor[0], old.spacing_mm[1] * factor[1])
     return _move_origin(replace(resized, calibration=replace(old, spacing_mm=spacing)), shift)
