@@ -44,9 +44,7 @@ def open_hdf5(path: str | os.PathLike) -> Iterator[h5py.File]:
     if not Path(path).is_file():
         raise FormatError(f"there is no file '{path}'")
     try:
-        # Nothing is locked: readers never see a half-written file of ours, and locks fail
-        # on many network drives.
-        with h5py.File(path, "r", locking=False) as file:
+        with h5py.File(path, "r") as file:
             yield file
     except SonosweepError:
         raise
@@ -184,7 +182,7 @@ class HDF5Frames:
     def _dataset(self) -> h5py.Dataset:
         """Return the data set, opened once per process: HDF5 does not survive a fork."""
         if self._open is None or self._open[0] != os.getpid():
-            dataset = h5py.File(self._path, "r", locking=False)[self._name]
+            dataset = h5py.File(self._path, "r")[self._name]
             if dataset.shape[0] != len(self):
                 raise FormatError(f"'{self._path.name}' changed after it was opened: open it again")
             self._open = (os.getpid(), dataset)
