@@ -21,7 +21,7 @@ from sonosweep.io.atomic_folder import write_folder_beside
 from sonosweep.io.dicom_frames import DicomFrames, is_dicom, open_dicom
 from sonosweep.io.dicom_new import describe_pixels, describe_rgb, new_dicom, new_uid
 from sonosweep.io.guard import refusing
-from sonosweep.io.voxels import lps_matrix, recorded_world, volume_from_lps, with_stored_type
+from sonosweep.io.voxels import lps_matrix, stated_world, volume_from_lps, with_stored_type
 from sonosweep.io.world import World
 from sonosweep.scan import Volume
 
@@ -155,13 +155,12 @@ class _Slice:
     position_mm: Float[np.ndarray, "xyz=3"]
 
 
-def read_dicom_volume(path: str | PathLike, world: World | None = None) -> Volume:
+def read_dicom_volume(path: str | PathLike, world: World = "ras") -> Volume:
     """Return the volume in a folder that holds one series of parallel slices.
 
     Args:
         path: The folder. Files in it that are not DICOM are passed over.
-        world: How the series states our reference; ``None`` believes the files, and takes
-            ``"ras"`` if they do not say.
+        world: How to read the coordinates of a file that does not tell itself.
 
     Raises:
         FormatError: If there is no such series, several, a slice missing or damaged, or
@@ -182,10 +181,9 @@ def read_dicom_volume(path: str | PathLike, world: World | None = None) -> Volum
         matrix[:3, 1] = y * float(first.PixelSpacing[0])
         matrix[:3, 2] = _slice_step(slices, normal, path)
         matrix[:3, 3] = slices[0].position_mm
-        stated = str(first.get("DerivationDescription", ""))
-        told = "lps" if stated == WORLD_RECORD + "lps" else None
+        told = str(first.get("DerivationDescription", "")).removeprefix(WORLD_RECORD)
         voxels = np.stack([_read_slice(one) for one in slices])
-        return volume_from_lps(voxels, matrix, recorded_world(told, world))
+        return volume_from_lps(voxels, matrix, stated_world(told, world))
 
 
 def _open_slice(name: Path) -> _Slice:

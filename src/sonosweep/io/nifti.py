@@ -18,7 +18,7 @@ import numpy as np
 from sonosweep.errors import FormatError
 from sonosweep.io.atomic import write_beside
 from sonosweep.io.guard import LARGEST_DEFLATE_RATIO, check_size, read_array, refusing
-from sonosweep.io.voxels import lps_matrix, recorded_world, volume_from_lps, with_stored_type
+from sonosweep.io.voxels import lps_matrix, stated_world, volume_from_lps, with_stored_type
 from sonosweep.io.world import World
 from sonosweep.scan import Volume
 
@@ -80,15 +80,14 @@ def _nifti_order(voxels: np.ndarray) -> np.ndarray:
     return voxels.transpose(2, 1, 0, 3)[:, :, :, np.newaxis, :]
 
 
-def read_nifti(path: str | PathLike, world: World | None = None) -> Volume:
+def read_nifti(path: str | PathLike, world: World = "ras") -> Volume:
     """Return the volume in a NIfTI-1 or NIfTI-2 file.
 
     The sform counts if there is one, otherwise the qform. Scaled voxels come as float32.
 
     Args:
         path: Ends in ``.nii`` or ``.nii.gz``.
-        world: How the file states our reference; ``None`` believes the file, and takes
-            ``"ras"`` if it does not say.
+        world: How to read the coordinates of a file that does not tell itself.
 
     Raises:
         FormatError: If it is no NIfTI volume, or damaged, or one of many over time.
@@ -106,7 +105,7 @@ def read_nifti(path: str | PathLike, world: World | None = None) -> Volume:
         affine = np.diag([unit, unit, unit, 1.0]) @ header.get_best_affine()
         settings = {str(k): str(v) for k, v in dict(record.get("settings", {})).items()}
         turned = LPS_TO_RAS @ affine
-        return volume_from_lps(voxels, turned, recorded_world(record.get("world"), world), settings)
+        return volume_from_lps(voxels, turned, stated_world(record.get("world"), world), settings)
 
 
 def _read_header(stream: BinaryIO, path: str | PathLike) -> Any:

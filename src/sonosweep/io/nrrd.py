@@ -18,7 +18,7 @@ from jaxtyping import Float
 from sonosweep.errors import FormatError
 from sonosweep.io.atomic import write_beside
 from sonosweep.io.guard import LARGEST_DEFLATE_RATIO, check_size, read_array, refusing
-from sonosweep.io.voxels import lps_matrix, recorded_world, volume_from_lps, with_stored_type
+from sonosweep.io.voxels import lps_matrix, stated_world, volume_from_lps, with_stored_type
 from sonosweep.io.world import World
 from sonosweep.scan import Volume
 
@@ -98,15 +98,14 @@ def _vector_text(vector: Float[np.ndarray, "xyz=3"]) -> str:
     return "(" + ",".join(f"{value + 0.0:.17g}" for value in vector) + ")"
 
 
-def read_nrrd(path: str | PathLike, world: World | None = None) -> Volume:
+def read_nrrd(path: str | PathLike, world: World = "ras") -> Volume:
     """Return the volume in a NRRD file: raw or gzip, attached or with a separate data file.
 
     Files that name no space are taken as LPS, as ITK does.
 
     Args:
         path: Ends in ``.nrrd`` or ``.nhdr``.
-        world: How the file states our reference; ``None`` believes the file, and takes
-            ``"ras"`` if it does not say.
+        world: How to read the coordinates of a file that does not tell itself.
 
     Raises:
         FormatError: If it is no NRRD volume, or damaged.
@@ -119,7 +118,7 @@ def read_nrrd(path: str | PathLike, world: World | None = None) -> Volume:
         return volume_from_lps(
             voxels,
             _lps_from_header(header, path),
-            recorded_world(header.get("sonosweep world"), world),
+            stated_world(header.get("sonosweep world"), world),
             _settings_from_header(header),
         )
 

@@ -76,8 +76,8 @@ def with_stored_type(volume: Volume, types: frozenset[str], path: str | PathLike
     return volume
 
 
-def recorded_world(stated: object, world: World | None) -> World:
-    """Return the asked-for world, or else the one that the file states, or else ``"ras"``."""
-    if world is not None:
-        return world
-    return "lps" if stated == "lps" else "ras"
+def stated_world(stated: object, otherwise: World) -> World:
+    """Return the world that a file states, or the other one if it states none."""
+    if stated == "ras" or stated == "lps":
+        return "ras" if stated == "ras" else "lps"
+    return otherwise
