@@ -1,1 +1,7 @@
-"""To be filled."""
+"""Draws results; computes none."""
+
+from sonosweep.view.content import Report, ReportRun
+from sonosweep.view.readme_picture import write_overview_picture
+from sonosweep.view.report import report_page, write_report
+
+__all__ = ["Report", "ReportRun", "report_page", "write_overview_picture", "write_report"]

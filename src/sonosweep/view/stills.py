@@ -1,0 +1,176 @@
+"""The report's static pictures of volumes, which need no script and print."""
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from sonosweep.geometry import invert_pose
+from sonosweep.scan import Trajectory, Volume, voxel_to_reference
+from sonosweep.view.content import ReportRun
+from sonosweep.view.payload import name_axes
+from sonosweep.view.picture_frame import draw_picture
+from sonosweep.view.projections import (
+    Picture,
+    best_covered,
+    depth_colored_projection,
+    difference_cuts,
+    display_window,
+    orthogonal_cuts,
+    overlay,
+    projections,
+)
+from sonosweep.view.render import render_volume
+from sonosweep.view.svg import run_color
+
+STILL_PIXELS = 520
+MANY = 24  # pictures; a report with more gets smaller ones, so that it can still be mailed
+Voxel = tuple[int, int, int]
+
+
+def still_pictures(runs: Sequence[ReportRun]) -> str:
+    """Return the pictures of every volume of every run, and of the difference of the first two.
+
+    All cuts go through one place: the middle of what the first volume covers.
+    """
+    shown = [(k, run, run.volume) for k, run in enumerate(runs) if run.volume is not None]
+    if not shown:
+        return ""
+    first = runs[0].trajectory
+    place = _place_mm(shown[0][2], best_covered(shown[0][2]))
+    count = sum(7 + 2 * len(run.companions) for _, run, _ in shown)
+    pixels = int(STILL_PIXELS * min(1.0, (MANY / count) ** 0.5))
+    renderings = "".join(_rendering(run.name, volume, first) for _, run, volume in shown)
+    parts = [f'<div class="pictures two">{renderings}</div>']
+    parts += [_run_pictures(k, run, volume, first, place, pixels) for k, run, volume in shown]
+    if len(shown) > 1 and shown[0][2].grid == shown[1][2].grid:
+        parts.append(_difference(shown[0][1], shown[1][1], first, place, pixels))
+    return "".join(parts)
+
+
+def _run_pictures(
+    index: int, run: ReportRun, volume: Volume, first: Trajectory, place: np.ndarray, pixels: int
+) -> str:
+    names, at = name_axes(volume, first), _voxel_at(volume, place)
+    cuts = orthogonal_cuts(volume, at, max_pixels=pixels)
+    low, high = display_window(volume)
+    head = f'<h3><i style="background:{run_color(index)}"></i>{escape(run.name)}</h3>'
+    note = (
+        f'<p class="legend">Cuts through {_millimetres(place)} mm; '
+        f"black is {low:.4g}, white is {high:.4g}.</p>"
+    )
+    rows = [
+        _row(_framed(cut, names, _cut_caption(cut, volume, at, names)) for cut in cuts),
+        note,
+        _row(
+            _framed(one, names, f"Maximum along the {names[_through(one)]} axis")
+            for one in projections(volume, "maximum", max_pixels=pixels)
+        ),
+        *(
+            _companion(name, companion, volume, cuts[0], first, place, pixels)
+            for name, companion in run.companions.items()
+        ),
+    ]
+    return head + "".join(rows)
+
+
+def _companion(
+    name: str,
+    companion: Volume,
+    volume: Volume,
+    cut: Picture,
+    first: Trajectory,
+    place: np.ndarray,
+    pixels: int,
+) -> str:
+    """Return a companion's projection coloured by depth, and its cut over the B-mode's."""
+    names = name_axes(companion, first)
+    axis = next((k for k, word in enumerate(names) if word == "axial"), 1)
+    colored = depth_colored_projection(companion, axis, max_pixels=pixels)
+    parts = [
+        _framed(
+            colored, names, f"Maximum along the {names[axis]} axis; colour is the place along it"
+        )
+    ]
+    parts.append(
+        _framed(
+            projections(companion, "maximum", max_pixels=pixels)[0],
+            names,
+            f"Maximum along the {names[2]} axis",
+        )
+    )
+    if companion.grid == volume.grid:
+        at = _voxel_at(companion, place)
+        above = overlay(cut, orthogonal_cuts(companion, at, max_pixels=pixels)[0])
+        parts.append(_framed(above, names, "Over the B-mode, same cut as above"))
+    length_mm = companion.grid.size[axis] * companion.grid.spacing_mm[axis]
+    legend = (
+        f'<p class="legend">Colour: 0 mm<span class="ramp"></span>{length_mm:.4g} mm along the '
+        f"{names[axis]} axis, from the edge of the volume</p>"
+    )
+    return f"<h3>{escape(name)}</h3>{_row(parts)}{legend}"
+
+
+def _difference(
+    first: ReportRun, second: ReportRun, trajectory: Trajectory, place: np.ndarray, pixels: int
+) -> str:
+    if first.volume is None or second.volume is None:
+        return ""
+    names = name_axes(first.volume, trajectory)
+    at = _voxel_at(first.volume, place)
+    cuts = difference_cuts(first.volume, second.volume, at, max_pixels=pixels)
+    head = f"<h3>Difference between {escape(first.name)} and {escape(second.name)}</h3>"
+    captions = (_cut_caption(cut, first.volume, at, names) for cut in cuts)
+    row = _row(_framed(cut, names, words) for cut, words in zip(cuts, captions, strict=True))
+    note = (
+        '<p class="legend">Absolute difference of the voxel values at the same place; black is '
+        "none, white is as much as the brightest tissue. What only one of the two covers counts "
+        "fully.</p>"
+    )
+    return head + row + note
+
+
+def _rendering(name: str, volume: Volume, first: Trajectory) -> str:
+    to_first = invert_pose(first.image_to_reference[0]).numpy()
+    shown, bounds = render_volume(volume, to_first, pixels=STILL_PIXELS)
+    edge = float(bounds[2] - bounds[0]) / shown.shape[1]
+    picture = Picture(shown, edge, "", "", "volume rendering")
+    words = f"{name}, seen obliquely from before the first frame; bright is opaque, far is darker"
+    drawn = draw_picture(picture)
+    return f"<figure>{drawn}<figcaption>{escape(words.capitalize())}</figcaption></figure>"
+
+
+def _row(figures) -> str:
+    return f'<div class="pictures">{"".join(figures)}</div>'
+
+
+def _framed(picture: Picture, names: tuple[str, str, str], caption: str) -> str:
+    right, down = names["xyz".index(picture.right)], names["xyz".index(picture.down)]
+    drawn = draw_picture(picture, right, down)
+    return f"<figure>{drawn}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def _through(picture: Picture) -> int:
+    return 3 - "xyz".index(picture.right) - "xyz".index(picture.down)
+
+
+def _cut_caption(picture: Picture, volume: Volume, at: Voxel, names: tuple[str, str, str]) -> str:
+    axis = _through(picture)
+    depth_mm = at[axis] * volume.grid.spacing_mm[axis]
+    return f"{names[axis].capitalize()} {depth_mm:.1f} mm from the edge of the volume"
+
+
+def _place_mm(volume: Volume, voxel: Voxel) -> np.ndarray:
+    return (voxel_to_reference(volume.grid).numpy() @ np.array([*voxel, 1.0]))[:3]
+
+
+def _voxel_at(volume: Volume, place_mm: np.ndarray) -> Voxel:
+    """Return the voxel nearest to a place in the reference, inside of the volume."""
+    inverse = np.linalg.inv(voxel_to_reference(volume.grid).numpy())
+    index = np.rint(inverse[:3, :3] @ place_mm + inverse[:3, 3])
+    x, y, z = (int(np.clip(i, 0, n - 1)) for i, n in zip(index, volume.grid.size, strict=True))
+    return x, y, z
+
+
+def _millimetres(place: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:.1f}" for value in place) + ")"
