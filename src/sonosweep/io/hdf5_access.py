@@ -5,7 +5,6 @@ does not hold. So every size is looked at before anything is read, and whatever 
 comes out as one sentence.
 """
 
-import operator
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ import h5py
 import numpy as np
 
 from sonosweep.errors import FormatError, SonosweepError
+from sonosweep.io.lazy_index import read_indexed
 
 DAMAGE = (
     OSError,
@@ -155,13 +155,7 @@ class HDF5Frames:
 
     def __getitem__(self, index: int | slice) -> np.ndarray:
         """Return one frame, or the frames of a slice."""
-        chosen = range(len(self))[index if isinstance(index, slice) else operator.index(index)]
-        if isinstance(chosen, int):
-            return self._read(chosen)
-        stack = np.empty((len(chosen), *self._shape[1:]), self._dtype)
-        for k, frame in enumerate(chosen):
-            stack[k] = self._read(frame)
-        return stack
+        return read_indexed(index, self._shape, self._dtype, self._read)
 
     def __getstate__(self) -> dict:
         """Return everything but the open file, which another process cannot use."""

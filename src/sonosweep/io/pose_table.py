@@ -32,12 +32,12 @@ from sonosweep.geometry import (
     MOTION_NAMES,
     EulerOrder,
     is_rigid,
-    nearest_pose,
     pose_from_parts,
     rotation_from_euler,
     rotation_from_quaternion,
 )
 from sonosweep.io.number_table import is_number, parse_numbers, read_text, split_cells
+from sonosweep.io.rounded_poses import unround_poses
 from sonosweep.scan import Trajectory
 
 FIRST_LINE = "# sonosweep trajectory 1"
@@ -55,7 +55,6 @@ HEADERLESS = {
 }
 TIME_NAMES = {"timestamp": "time_s", "time": "time_s", "timestamp_s": "time_s", "t": "time_s"}
 QUATERNION_LENGTH_ERROR = 0.01  # two printed digits; more means another order of columns
-PRINTED_ERROR = 1e-12  # beyond float64 round-off: the rotation was rounded when printed
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +89,7 @@ def read_pose_table(
     ours = bool(comments) and comments[0].strip() == FIRST_LINE
     poses = _poses_from_columns(columns, euler_order, name)
     if not ours:
-        poses = _unrounded(poses)
+        poses = unround_poses(poses)
     # With exactly 1 nothing may change, not even the sign of a zero.
     if scale != 1.0:
         poses[:, :3, 3] *= scale
@@ -212,17 +211,6 @@ def _rotations_from_quaternions(
             " instead of 1: are the columns qx, qy, qz, qw?"
         )
     return rotation_from_quaternion(quaternions)
-
-
-def _unrounded(poses: Float[Tensor, "frames 4 4"]) -> Float[Tensor, "frames 4 4"]:
-    """Return poses that were printed with few digits as rigid ones again."""
-    rotation = poses[:, :3, :3]
-    error = (rotation.mT @ rotation - torch.eye(3, dtype=torch.float64)).abs()
-    rounded = (error.flatten(-2).amax(-1) > PRINTED_ERROR) & is_rigid(poses)
-    result = poses.clone()
-    if bool(rounded.any()):
-        result[rounded] = nearest_pose(poses[rounded])
-    return result
 
 
 def _stack(columns: dict[str, np.ndarray], names: tuple[str, ...]) -> Float[Tensor, "frames n"]:
