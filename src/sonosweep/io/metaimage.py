@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
 
 import numpy as np
 
@@ -76,6 +76,9 @@ LONGEST_WRITTEN_LINE = 990
 COMPRESSION_LEVEL = 3  # B-mode: level 6 takes twice as long and saves nothing
 # Room for the length of the compressed pixels, which is known only after the header.
 PADDING = 20
+# Above what files and arrays can count; NaN and infinity are not below it.
+LARGEST_NUMBER = 2**62
+Number = TypeVar("Number", int, float)
 
 
 @dataclass(frozen=True)
@@ -106,44 +109,54 @@ def read_metaimage_header(path: str | os.PathLike) -> MetaImageHeader:
     with open_binary(path) as file:
         values = _header_values(file, path)
         end = file.tell()
-    size = header_numbers(values, "DimSize", path, whole=True)
+    size = tuple(header_counts(values, "DimSize", path))
     if len(size) != _header_count(values, "NDims", path) or min(size) < 0:
         raise FormatError(
             f"NDims = {values['NDims']} but DimSize = {values['DimSize']} in '{path}': expected"
             " one size of 0 or more per dimension"
         )
-    sizes = tuple(int(value) for value in size)
-    pixels = None if min(sizes) == 0 else _find_pixels(values, sizes, path, end)
-    return MetaImageHeader(path, values, sizes, pixels)
+    pixels = None if min(size) == 0 else _find_pixels(values, size, path, end)
+    return MetaImageHeader(path, values, size, pixels)
 
 
-def header_numbers(
-    values: Mapping[str, str], name: str, path: Path, whole: bool = False
-) -> list[float]:
+def header_numbers(values: Mapping[str, str], name: str, path: Path) -> list[float]:
     """Return the finite numbers of a header field.
 
     Raises:
         FormatError: If it is missing or holds something else.
     """
+    return _convert(values, name, path, float, "numbers")
+
+
+def header_counts(values: Mapping[str, str], name: str, path: Path) -> list[int]:
+    """Return the whole numbers of a header field.
+
+    Raises:
+        FormatError: If it is missing or holds something else.
+    """
+    return _convert(values, name, path, int, "whole numbers")
+
+
+def _convert(
+    values: Mapping[str, str], name: str, path: Path, kind: type[Number], expected: str
+) -> list[Number]:
     if name not in values:
-        raise FormatError(f"'{path}' has no {name} in its header: it is no MetaImage or damaged")
+        raise FormatError(f"'{path}' has no {name} in its header: it is damaged or another format")
     try:
-        numbers = [int(word) if whole else float(word) for word in values[name].split()]
+        numbers = [kind(word) for word in values[name].split()]
     except ValueError:
         numbers = []
-    # A size above 2**62 overflows what files and arrays can count.
-    if not numbers or not all(abs(number) < 2**62 for number in numbers):
-        kind = "whole numbers" if whole else "numbers"
-        raise FormatError(f"{name} = {values[name][:60]} in '{path}': expected {kind}")
+    if not numbers or not all(abs(number) < LARGEST_NUMBER for number in numbers):
+        raise FormatError(f"{name} = {values[name][:60]} in '{path}': expected {expected}")
     return numbers
 
 
 def _header_count(values: Mapping[str, str], name: str, path: Path) -> int:
     """Return the one whole number of a header field."""
-    numbers = header_numbers(values, name, path, whole=True)
+    numbers = header_counts(values, name, path)
     if len(numbers) != 1:
         raise FormatError(f"{name} = {values[name][:60]} in '{path}': expected one number")
-    return int(numbers[0])
+    return numbers[0]
 
 
 def _header_values(file: IO[bytes], path: Path) -> dict[str, str]:

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from sonosweep.errors import FormatError
 from sonosweep.io.header_lines import open_binary
+from sonosweep.scan import Calibration, calibration_from_matrix
 
 # PLUS's own largest configuration is below 100 kB.
 LARGEST_FILE_BYTES = 16 << 20
@@ -118,6 +119,12 @@ class PlusConfig:
     transforms: Mapping[tuple[str, str], Float[Tensor, "4 4"]]
     reconstruction: VolumeReconstructionSettings | None = None
     ignored: tuple[str, ...] = field(default=())
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Pixel size and place of the image on the probe, if the file holds ImageToProbe."""
+        matrix = self.transforms.get(("Image", "Probe"))
+        return None if matrix is None else calibration_from_matrix(matrix)
 
 
 def read_plus_config(path: str | os.PathLike) -> PlusConfig:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sonosweep.errors import FormatError
 from sonosweep.io.header_lines import header_lines, open_binary
-from sonosweep.io.metaimage import data_file, header_numbers
+from sonosweep.io.metaimage import data_file, header_counts
 from sonosweep.io.pixel_data import PixelData
 
 # NRRD's own fields, in lower case, and the two that IGSIO adds for the whole file.
@@ -102,8 +102,8 @@ def read_nrrd_header(path: Path) -> NrrdHeader:
     with open_binary(path) as file:
         values = _header_values(file, path)
         end = file.tell()
-    size = tuple(int(n) for n in header_numbers(values, "sizes", path, whole=True))
-    dimension = header_numbers(values, "dimension", path, whole=True)
+    size = tuple(header_counts(values, "sizes", path))
+    dimension = header_counts(values, "dimension", path)
     kinds = tuple(values.get("kinds", "").split())
     if dimension != [len(size)] or min(size) < 0 or len(kinds) not in (0, len(size)):
         raise FormatError(

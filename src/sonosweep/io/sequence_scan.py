@@ -193,7 +193,7 @@ def _find_tracked_chain(
     goals = (reference, TRACKER) if reference == DEFAULT_REFERENCE else (reference,)
     for goal in goals:
         chain = find_chain(links, image, goal)
-        if chain is None or not any(link.source == "frames" for link in chain):
+        if chain is None or not any(link.origin == "frames" for link in chain):
             continue
         if goal != reference:
             notes["reference"] = f"poses are in {goal}: {missing_link(links, image, reference)}"
@@ -218,9 +218,9 @@ def _chain_poses(
     matrices = [link_matrices(link, sequence, config) for link in chain]
     tracked = torch.ones(sequence.count, dtype=torch.bool)
     for link in chain:
-        if link.source == "frames":
-            tracked &= sequence.transforms[(link.from_system, link.to_system)].valid
-    first = next(k for k, link in enumerate(chain) if link.source == "frames")
+        if link.origin == "frames":
+            tracked &= sequence.transforms[(link.source, link.target)].valid
+    first = next(k for k, link in enumerate(chain) if link.origin == "frames")
     if first > 0:
         lead = torch.eye(4, dtype=torch.float64)
         for matrix in matrices[:first]:
@@ -306,10 +306,10 @@ def _image_on_probe(
     sequence: Sequence, config: PlusConfig | None, image: str
 ) -> Calibration | None:
     """Return what the fixed transforms say of the image; a probe is preferred to others."""
-    fixed = [link for link in transform_graph(sequence, config) if link.source != "frames"]
+    fixed = [link for link in transform_graph(sequence, config) if link.origin != "frames"]
     chain = find_chain(fixed, image, "Probe")
     if chain is None:
-        chain = [link for link in fixed if link.from_system == image][:1]
+        chain = [link for link in fixed if link.source == image][:1]
     if not chain:
         return None
     lead = torch.eye(4, dtype=torch.float64)

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -13,31 +13,31 @@ from sonosweep.errors import ScanError
 from sonosweep.io.plus_config import PlusConfig
 from sonosweep.io.sequence import Sequence
 
-LinkSource = Literal["frames", "configuration", "file"]
+LinkOrigin = Literal["frames", "configuration", "file"]
 
 
 @dataclass(frozen=True)
 class TransformLink:
-    """One transform that is known, ``<from_system>To<to_system>``.
+    """One transform that is known, ``<source>To<target>``.
 
     Attributes:
-        from_system: Whose coordinates it takes.
-        to_system: Whose coordinates it gives.
-        source: ``"frames"`` if it changes from frame to frame; else where it is fixed.
+        source: Whose coordinates it takes.
+        target: Whose coordinates it gives.
+        origin: ``"frames"`` if it changes from frame to frame; else where it is fixed.
         valid: For how many frames it holds.
         inverted: Whether a chain goes through it backwards.
     """
 
-    from_system: str
-    to_system: str
-    source: LinkSource
+    source: str
+    target: str
+    origin: LinkOrigin
     valid: int
     inverted: bool = False
 
     @property
     def name(self) -> str:
         """PLUS's name for it."""
-        return f"{self.from_system}To{self.to_system}"
+        return f"{self.source}To{self.target}"
 
 
 def transform_graph(sequence: Sequence, config: PlusConfig | None = None) -> list[TransformLink]:
@@ -70,12 +70,11 @@ def find_chain(links: Iterable[TransformLink], start: str, goal: str) -> list[Tr
         here = waiting.popleft()
         for link in usable:
             for a, b, inverted in (
-                (link.from_system, link.to_system, False),
-                (link.to_system, link.from_system, True),
+                (link.source, link.target, False),
+                (link.target, link.source, True),
             ):
                 if a == here and b not in came_by:
-                    walked = TransformLink(*_fields(link), inverted)
-                    came_by[b] = (here, walked)
+                    came_by[b] = (here, replace(link, inverted=inverted))
                     waiting.append(b)
     if goal not in came_by:
         return None
@@ -87,14 +86,10 @@ def find_chain(links: Iterable[TransformLink], start: str, goal: str) -> list[Tr
     return chain[::-1]
 
 
-def _fields(link: TransformLink) -> tuple[str, str, LinkSource, int]:
-    return link.from_system, link.to_system, link.source, link.valid
-
-
 def reachable(links: Iterable[TransformLink], start: str) -> list[str]:
     """Return the systems that links lead to from one, itself first."""
     links = list(links)
-    names = dict.fromkeys(name for link in links for name in (link.from_system, link.to_system))
+    names = dict.fromkeys(name for link in links for name in (link.source, link.target))
     others = [n for n in names if n != start and find_chain(links, start, n) is not None]
     return [start, *others]
 
@@ -104,7 +99,7 @@ def missing_link(links: Iterable[TransformLink], start: str, goal: str) -> str:
     links = list(links)
     here, there = reachable(links, start), reachable(links, goal)
     known = [
-        f"{link.name} ({'fixed' if link.source != 'frames' else f'valid in {link.valid} frames'})"
+        f"{link.name} ({'fixed' if link.origin != 'frames' else f'valid in {link.valid} frames'})"
         for link in links
     ]
     sentence = (
@@ -126,12 +121,12 @@ def link_matrices(
     Raises:
         ScanError: If a matrix holds NaN, or cannot be inverted where it must be.
     """
-    key = (link.from_system, link.to_system)
-    if link.source == "frames":
+    key = (link.source, link.target)
+    if link.origin == "frames":
         transforms = sequence.transforms[key]
         identity = torch.eye(4, dtype=torch.float64)
         matrices = torch.where(transforms.valid[:, None, None], transforms.matrices, identity)
-    elif link.source == "configuration" and config is not None:
+    elif link.origin == "configuration" and config is not None:
         matrices = config.transforms[key]
     else:
         matrices = sequence.static_transforms[key]
