@@ -9,8 +9,10 @@ states is checked against the file before anything is allocated.
 import math
 import shutil
 import tempfile
+import weakref
 import zlib
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -146,6 +148,7 @@ class StoredFrames:
             self._array = read_pixels(self._pixels)
         else:
             self._temporary = _inflate_to_file(self._pixels)
+            weakref.finalize(self, self._temporary.close)
 
 
 def read_pixels(pixels: PixelData) -> np.ndarray:
@@ -224,13 +227,15 @@ def _inflate_to_file(pixels: PixelData) -> IO[bytes]:
             f" '{folder}', which has {room / 1e9:.1f} GB: name a larger folder with TMPDIR"
         )
     try:
-        file = tempfile.TemporaryFile(prefix="sonosweep-")  # noqa: SIM115
-        for chunk in inflated_chunks(pixels):
-            file.write(chunk)
-        file.flush()
+        with ExitStack() as on_failure:
+            file = on_failure.enter_context(tempfile.TemporaryFile(prefix="sonosweep-"))
+            for chunk in inflated_chunks(pixels):
+                file.write(chunk)
+            file.flush()
+            on_failure.pop_all()
+            return file
     except OSError as error:
         raise FormatError(f"cannot write temporary frames in '{folder}': {error}") from error
-    return file
 
 
 def _version(path: Path) -> tuple[int, int, int]:
