@@ -40,6 +40,10 @@ class DecorrelationCurve:
             these depths; linear between them, constant beyond.
         exponent: Steepness; 2 for fully developed speckle.
         peak: Correlation of two frames at the same place; below 1 because of noise.
+        fineness_per_mm2: How fast the tissue it was measured on decorrelates laterally, at
+            the same depths; empty takes each scan's own median for that.
+        coherence: How much of a patch's lateral coherence is carried over to the elevational
+            direction, as a power; see :mod:`sonosweep.estimators.coherence`.
         dynamic_range_db: Echo amplitude from black to white at which it was measured.
         source: Where it comes from; a ``"guess"`` and a ``"probe"`` know nothing of frame
             averaging.
@@ -51,6 +55,8 @@ class DecorrelationCurve:
     width_mm: tuple[float, ...] = (GUESSED_WIDTH_MM,)
     exponent: float = 2.0
     peak: float = 1.0
+    fineness_per_mm2: tuple[float, ...] = ()
+    coherence: float = 0.5
     dynamic_range_db: float = 60.0
     source: CurveSource = "guess"
     preset: str = ""
@@ -69,10 +75,18 @@ class DecorrelationCurve:
             )
         if not all(np.isfinite(self.depth_mm)) or any(np.diff(self.depth_mm) <= 0):
             raise ScanError(f"depths of a decorrelation curve must increase: {self.depth_mm}")
+        if self.fineness_per_mm2 and len(self.fineness_per_mm2) != len(self.depth_mm):
+            raise ScanError(
+                f"a decorrelation curve needs one fineness per depth or none, got"
+                f" {len(self.fineness_per_mm2)} for {len(self.depth_mm)} depths"
+            )
         limits = {
             "exponent": (self.exponent, 0.3, 4.0),
             "peak": (self.peak, 0.1, 1.0),
             "dynamic range (dB)": (self.dynamic_range_db, 5.0, 200.0),
+            "coherence": (self.coherence, 0.0, 1.0),
+            "smallest fineness (1/mm2)": (min(self.fineness_per_mm2, default=1.0), 1e-6, 1e6),
+            "largest fineness (1/mm2)": (max(self.fineness_per_mm2, default=1.0), 1e-6, 1e6),
             "smallest width (mm)": (min(self.width_mm), 1e-3, 1e3),
             "largest width (mm)": (max(self.width_mm), 1e-3, 1e3),
         }
@@ -93,35 +107,34 @@ def width_at(
 def correlation_at(
     curve: DecorrelationCurve,
     distance_mm: Float[np.ndarray, "*n"],
-    depth_mm: Float[np.ndarray, "*n"],
+    width_mm: Float[np.ndarray, "*n"],
 ) -> Float[np.ndarray, "*n"]:
     """Return the correlation of patches this far apart; the sign of a distance is lost."""
-    share = np.abs(distance_mm) / width_at(curve, depth_mm)
+    share = np.abs(distance_mm) / width_mm
     return curve.peak * np.exp(-(share**curve.exponent))
 
 
 def distance_at(
     curve: DecorrelationCurve,
     correlation: Float[np.ndarray, "*n"],
-    depth_mm: Float[np.ndarray, "*n"],
+    width_mm: Float[np.ndarray, "*n"],
 ) -> Float[np.ndarray, "*n"]:
     """Return the distance (mm) at which patches correlate so; undoes :func:`correlation_at`.
 
     Zero above the peak; correlations below 5 % of it all give the distance of 5 %.
     """
     share = np.clip(correlation / curve.peak, LOWEST_SHARE, 1.0)
-    return width_at(curve, depth_mm) * (-np.log(share)) ** (1 / curve.exponent)
+    return width_mm * (-np.log(share)) ** (1 / curve.exponent)
 
 
 def slope_at(
     curve: DecorrelationCurve,
     distance_mm: Float[np.ndarray, "*n"],
-    depth_mm: Float[np.ndarray, "*n"],
+    width_mm: Float[np.ndarray, "*n"],
 ) -> Float[np.ndarray, "*n"]:
     """Return by how much the correlation falls per mm at a distance above zero."""
-    width = width_at(curve, depth_mm)
-    steepness = curve.exponent / width * (distance_mm / width) ** (curve.exponent - 1)
-    return correlation_at(curve, distance_mm, depth_mm) * steepness
+    steepness = curve.exponent / width_mm * (distance_mm / width_mm) ** (curve.exponent - 1)
+    return correlation_at(curve, distance_mm, width_mm) * steepness
 
 
 def scaled_curve(curve: DecorrelationCurve, factor: float) -> DecorrelationCurve:

@@ -39,7 +39,6 @@ class PairMotion:
 def fuse_pairs(
     pairs: list[PairMotion],
     steps: int,
-    prior_mean: Float[np.ndarray, "unknowns=3"],
     prior_std: Float[np.ndarray, "unknowns=3"],
 ) -> tuple[Float[np.ndarray, "steps unknowns=3"], Float[np.ndarray, "steps unknowns=3"]]:
     """Return the most probable value of every step, and its standard deviation.
@@ -47,15 +46,13 @@ def fuse_pairs(
     Args:
         pairs: Pairs of frames, in any order.
         steps: How many steps there are.
-        prior_mean: What a step is before anything is measured.
-        prior_std: How much steps differ from that; small for turns, which images of a
-            narrow field of view tell badly.
+        prior_std: How far steps are from zero before anything is measured; small for
+            turns, which images of a narrow field of view tell badly.
     """
     reach = max((pair.last - pair.first for pair in pairs), default=1)
     blocks = np.zeros((reach, steps, 3, 3))
     right = np.zeros((steps, 3))
     blocks[0] += np.diag(1 / prior_std**2)
-    right += prior_mean / prior_std**2
     for pair in pairs:
         weighted = pair.fit.information @ pair.fit.value
         for a in range(pair.first, pair.last):

@@ -29,6 +29,7 @@ class PatchGrid:
         mask: Which pixels of the cropped frame hold image.
         rectangle_px: ``(column, row, width, height)`` of the cropped frame in the full one.
         spacing_mm: Distance between columns and between rows.
+        redundancy: How many times over overlapping patches use each pixel.
     """
 
     side_px: int
@@ -37,6 +38,17 @@ class PatchGrid:
     mask: Bool[np.ndarray, "rows columns"]
     rectangle_px: tuple[int, int, int, int]
     spacing_mm: tuple[float, float]
+    redundancy: float
+
+    @property
+    def middle_mm(self) -> Float[np.ndarray, "xy=2"]:
+        """Middle of all patches: the point about which turns are estimated."""
+        return self.centers_mm.mean(axis=0)
+
+    @property
+    def from_middle_mm(self) -> Float[np.ndarray, "patches xy=2"]:
+        """Middle of each patch from the middle of all."""
+        return self.centers_mm - self.middle_mm
 
 
 def patch_grid(scan: Scan, patches_across: float = 8.0) -> PatchGrid:
@@ -66,7 +78,8 @@ def patch_grid(scan: Scan, patches_across: float = 8.0) -> PatchGrid:
     middle = corners + (side - 1) / 2
     centers = np.stack(((middle[:, 1] + column) * x_mm, (middle[:, 0] + row) * y_mm), axis=-1)
     centers[:, 0] += scan.calibration.shear * centers[:, 1]
-    return PatchGrid(side, corners, centers, mask, rectangle, (x_mm, y_mm))
+    redundancy = _redundancy(mask, corners, side)
+    return PatchGrid(side, corners, centers, mask, rectangle, (x_mm, y_mm), redundancy)
 
 
 def _region(scan: Scan) -> tuple[np.ndarray, tuple[int, int, int, int]]:
@@ -100,3 +113,10 @@ def _corners(mask: np.ndarray, side: int) -> np.ndarray:
         + area[top, left]
     )
     return np.stack((top, left), axis=-1)[inside >= INSIDE * side * side]
+
+
+def _redundancy(mask: np.ndarray, corners: np.ndarray, side: int) -> float:
+    covered = np.zeros_like(mask)
+    for row, column in corners:
+        covered[row : row + side, column : column + side] = True
+    return len(corners) * side**2 / int(covered.sum())

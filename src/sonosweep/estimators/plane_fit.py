@@ -91,7 +91,7 @@ def fit_out_of_plane(
     correlation: Float[np.ndarray, " patches"],
     speckles: float,
     curve: DecorrelationCurve,
-    centers_mm: Float[np.ndarray, "patches xy=2"],
+    width_mm: Float[np.ndarray, " patches"],
     from_middle_mm: Float[np.ndarray, "patches xy=2"],
     redundancy: float,
 ) -> PlaneFit:
@@ -105,27 +105,27 @@ def fit_out_of_plane(
         correlation: Of each patch with its like in the other frame; NaN if not known.
         speckles: How many independent speckles a patch holds.
         curve: What tells distance from correlation.
-        centers_mm: Center of each patch in image coordinates.
-        from_middle_mm: The same from the middle of the image.
+        width_mm: Width of the curve that holds for each patch.
+        from_middle_mm: Center of each patch from the middle of the image.
         redundancy: How many times over overlapping patches use each pixel.
     """
     usable = np.isfinite(correlation)
     if usable.sum() < LEAST_PATCHES:
         return NOTHING
     x, y = from_middle_mm[usable].T
-    depth = centers_mm[usable, 1]
+    width = width_mm[usable]
     design = np.stack((np.ones_like(x), y, -x), axis=-1)
-    distance = distance_at(curve, correlation[usable], depth)
+    distance = distance_at(curve, correlation[usable], width)
     # Below this distance the fall of the correlation is lost in its own scatter.
-    floor = distance_at(curve, np.full_like(depth, curve.peak * (1 - INTERPOLATION)), depth)
+    floor = distance_at(curve, np.full_like(width, curve.peak * (1 - INTERPOLATION)), width)
     value = np.array([np.median(distance), 0.0, 0.0])
     for _ in range(ROBUST_ROUNDS):
         fitted = design @ value
-        size = np.clip(np.abs(fitted), floor, distance_at(curve, np.zeros_like(depth), depth))
+        size = np.clip(np.abs(fitted), floor, distance_at(curve, np.zeros_like(width), width))
         # Weights follow the fit, not the measurement, or low correlations would count less
         # for being low.
-        scatter = (1 - correlation_at(curve, size, depth) ** 2) / math.sqrt(speckles)
-        std = np.hypot(scatter, INTERPOLATION) / slope_at(curve, size, depth)
+        scatter = (1 - correlation_at(curve, size, width) ** 2) / math.sqrt(speckles)
+        std = np.hypot(scatter, INTERPOLATION) / slope_at(curve, size, width)
         target = np.where(fitted < 0, -distance, distance)
         value, information = _reweighted(design, target, std, value, redundancy)
     return PlaneFit(value if value[0] >= 0 else -value, information)
