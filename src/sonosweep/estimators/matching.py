@@ -24,6 +24,9 @@ from sonosweep.estimators.registration import (
 from sonosweep.estimators.texture import TextureFilter, full_scale
 from sonosweep.scan import FrameView, Scan
 
+COARSE_PX = 256
+"""Longest side at which motion is searched for; scanners show far more pixels than speckles."""
+
 SEARCH_MM = 1.2
 """In-plane motion between neighboring frames that is looked for, each way."""
 
@@ -80,11 +83,19 @@ class MatchedPair:
 
 
 @dataclass(frozen=True, eq=False)
-class _Textured:
-    """A frame ready to be matched."""
+class _Level:
+    """A frame ready to be matched, at one resolution."""
 
     texture: np.ndarray
     moments: tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class _Textured:
+    """A frame ready to be matched, whole and shrunk."""
+
+    fine: _Level
+    coarse: _Level
 
 
 class PairMatcher:
@@ -107,6 +118,7 @@ class PairMatcher:
         self._ready: OrderedDict[int, _Textured] = OrderedDict()
         self._kept = kept
         self._pixel_mm = np.array(grid.spacing_mm[::-1])
+        self._shrink = max(1, max(grid.mask.shape) // COARSE_PX)
 
     def match(
         self, first: int, last: int, guess: Float[np.ndarray, "unknowns=3"] | None = None
@@ -128,7 +140,7 @@ class PairMatcher:
         one, other = self._textured(first), self._textured(last)
         rough = self._rough(one, other, guess)
         base = np.rint(self._shift_px(rough.value)).astype(np.int64)
-        surfaces = self._correlate(one, other, base, 1)
+        surfaces = self._correlate(one.fine, other.fine, base, 1)
         shift, summit, curvature = refine(surfaces, np.zeros_like(base))
         hill = np.isfinite(summit)
         typical = np.median(curvature[hill], axis=0) if hill.any() else np.ones(2)
@@ -143,7 +155,7 @@ class PairMatcher:
 
     def fineness(self, index: int) -> Float[np.ndarray, " patches"]:
         """Return how fast the patches of a frame decorrelate laterally, per mm squared."""
-        one = self._textured(index)
+        one = self._textured(index).fine
         aside = np.tile(np.array([0, LAG_PX]), (len(self._grid.corners_px), 1))
         return fineness(self._correlate(one, one, aside, 0)[:, 0, 0], self._pixel_mm[1])
 
@@ -160,17 +172,18 @@ class PairMatcher:
 
     def _rough(self, one: _Textured, other: _Textured, guess: np.ndarray | None) -> PlaneFit:
         """Return the rigid motion of all patches, each matched within the search range."""
+        pixel_mm = self._pixel_mm * self._shrink
         if guess is None:
-            widest = math.ceil(SEARCH_MM / self._pixel_mm.min())
-            guess, radius = np.zeros(3), min(widest, self._grid.side_px // 2)
+            widest = math.ceil(SEARCH_MM / pixel_mm.min())
+            guess, radius = np.zeros(3), min(widest, self._grid.side_px // (2 * self._shrink))
         else:
             radius = NARROW_PX
-        base = np.rint(self._shift_px(guess)).astype(np.int64)
-        surfaces = self._correlate(one, other, base, radius)
+        base = np.rint(self._shift_px(guess) / self._shrink).astype(np.int64)
+        surfaces = self._correlate(one.coarse, other.coarse, base, radius, self._shrink)
         shift, summit, _ = refine(surfaces, highest(surfaces))
         share = np.sqrt(1 / np.clip(summit, LOWEST_CORRELATION, 1) ** 2 - 1)
         std_px = np.tile(np.hypot(share, INTERPOLATION_PX)[:, None], (1, 2))
-        return self._rigid(shift + base, std_px)
+        return self._rigid((shift + base) * self._shrink, std_px * self._shrink)
 
     def _rigid(self, shift_px: np.ndarray, std_px: np.ndarray) -> PlaneFit:
         """Return the motion of the probe that shifts patches so in the second frame."""
@@ -186,15 +199,15 @@ class PairMatcher:
         return -np.stack((axial + roll * x, lateral - roll * y), axis=-1) / self._pixel_mm
 
     def _correlate(
-        self, one: _Textured, other: _Textured, base: np.ndarray, radius: int
+        self, one: _Level, other: _Level, base: np.ndarray, radius: int, shrink: int = 1
     ) -> np.ndarray:
         return correlate(
             one.texture,
             one.moments,
             other.texture,
             other.moments,
-            self._grid.corners_px,
-            self._grid.side_px,
+            self._grid.corners_px // shrink,
+            self._grid.side_px // shrink,
             base,
             radius,
         )
@@ -207,10 +220,21 @@ class PairMatcher:
                     f"frame {index} of '{self._name}' holds pixels that are not numbers"
                 )
             texture = self._filter(gray)
-            self._ready[index] = _Textured(texture, moments(texture))
+            fine = _Level(texture, moments(texture))
+            self._ready[index] = _Textured(fine, self._shrunk(fine))
             if len(self._ready) > self._kept:
                 self._ready.popitem(last=False)
         return self._ready[index]
+
+    def _shrunk(self, fine: _Level) -> _Level:
+        """Return the means of small squares of pixels."""
+        side = self._shrink
+        if side == 1:
+            return fine
+        rows, columns = (length // side for length in fine.texture.shape)
+        squares = fine.texture[: rows * side, : columns * side].reshape(rows, side, columns, side)
+        small = np.ascontiguousarray(squares.mean(axis=(1, 3)))
+        return _Level(small, moments(small))
 
 
 def matched_pairs(
