@@ -35,7 +35,8 @@ def interpolate_poses(
         return a_to_b.expand(len(times_s), 4, 4).clone()
     if not bool((sample_times_s.diff() > 0).all()):
         raise ScanError("the times of the poses must increase from sample to sample")
-    after = torch.searchsorted(sample_times_s, times_s).clamp(1, len(sample_times_s) - 1)
+    after = torch.searchsorted(sample_times_s.contiguous(), times_s.contiguous())
+    after = after.clamp(1, len(sample_times_s) - 1)
     before = after - 1
     start, stop = sample_times_s[before], sample_times_s[after]
     fraction = ((times_s - start) / (stop - start)).clamp(0, 1).to(a_to_b.dtype)[:, None]
