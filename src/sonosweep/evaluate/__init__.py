@@ -1,1 +1,26 @@
-"""To be filled."""
+"""Experiments: how good estimates are, over one scan or many."""
+
+from sonosweep.evaluate.compare import TrajectoryComparison, compare_trajectories
+from sonosweep.evaluate.intervals import Interval, bootstrap_interval, paired_interval
+from sonosweep.evaluate.tables import (
+    comparison_row,
+    markdown_table,
+    paper_table,
+    summarize,
+    write_csv,
+    write_json,
+)
+
+__all__ = [
+    "Interval",
+    "TrajectoryComparison",
+    "bootstrap_interval",
+    "compare_trajectories",
+    "comparison_row",
+    "markdown_table",
+    "paired_interval",
+    "paper_table",
+    "summarize",
+    "write_csv",
+    "write_json",
+]
