@@ -349,7 +349,7 @@ def _own_region(own: dict[str, str]) -> Region | None:
         return None
 
 
-def _own_step_std(sequence: Sequence) -> Float[Tensor, "frames-1 motion=6"] | None:
+def _own_step_std(sequence: Sequence) -> Float[Tensor, "steps motion=6"] | None:
     texts = sequence.frame_fields.get("NextStepStd", ())[:-1]
     try:
         rows = np.array([[float(word) for word in text.split()] for text in texts])

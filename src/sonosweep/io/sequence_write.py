@@ -300,7 +300,7 @@ def _nrrd_axes(sequence: Sequence, shape: tuple[int, ...], for_slicer: bool) -> 
     n = len(spatial)
     x, y = _slicer_spacing(sequence) if for_slicer else (1.0, 1.0)
     directions = [
-        "(" + ",".join(numbers_text([step if a == b else 0]) for b in range(n)) + ")"
+        "(" + ",".join(numbers_text([step if a == b else 0.0]) for b in range(n)) + ")"
         for a, step in zip(range(n), (x, y, (x + y) / 2), strict=False)
     ]
     vector = ["vector"] if channels else []
@@ -324,7 +324,7 @@ def _slicer_keys(sequence: Sequence, axis: int) -> dict[str, str]:
     """Return core Slicer's keys; without times the frames are numbered, as text."""
     times = sequence.timestamps_s
     known = times is not None and bool(torch.isfinite(times).all())
-    values = times.tolist() if times is not None and known else range(sequence.count)
+    values = times.tolist() if times is not None and known else map(float, range(sequence.count))
     colour = axis == 4
     return {
         "DataNodeClassName": "vtkMRMLVectorVolumeNode" if colour else "vtkMRMLScalarVolumeNode",
