@@ -89,9 +89,7 @@ def format_value(value: float | int) -> str:
     """Return a number with four significant digits, whole numbers in full."""
     if float(value).is_integer() and abs(value) < 1e15:
         return f"{int(value):,}".replace(",", "\u202f").replace("-", MINUS)
-    magnitude = abs(value)
-    shown = f"{value:.4g}" if 1e-3 <= magnitude < 1e6 else f"{value:.3e}"
-    return shown.replace("-", MINUS, 1) if value < 0 else shown
+    return f"{value:.4g}".replace("-", MINUS)
 
 
 def _row(name: str, values: Sequence[Metric | None]) -> str:

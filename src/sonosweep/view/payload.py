@@ -15,12 +15,13 @@ from sonosweep.view.camera import AZIMUTH_DEG, ELEVATION_DEG
 from sonosweep.view.content import Report
 from sonosweep.view.figures import frame_outlines
 from sonosweep.view.projections import AXES, best_covered, display_window
-from sonosweep.view.resample import resample_volume
+from sonosweep.view.resample import finite, resample_volume
 
 VOXELS = 8_000_000  # of all volumes together
 VOLUME_BYTES = 5_500_000  # of all volumes together, as text
 SHOWN_FRAMES = 240
 SHEET_PIXELS = 7_000_000
+SHEET_BYTES = 1_000_000  # noise compresses badly and gets a lower quality
 ALONG = 0.9  # cosine beyond which an axis of the volume is named after one of the frame
 
 
@@ -120,7 +121,7 @@ def _packed(volume: Volume, max_voxels: int, max_bytes: int) -> tuple[_Levels, s
 
 def _as_bytes(volume: Volume, window: tuple[float, float]) -> _Levels:
     """Return voxels as uint8: as they are when they fit, stretched around the window if not."""
-    values = np.nan_to_num(np.asarray(volume.voxels, dtype=np.float32))
+    values = finite(np.asarray(volume.voxels, dtype=np.float32))
     low, high = float(values.min()), float(values.max())
     if low >= 0 and high <= 255 and window[1] > 25:
         levels = _Levels(volume, 0.0, 1.0)
@@ -180,7 +181,7 @@ def _sheet(frames: Frames | None, shown: np.ndarray) -> tuple[dict[str, int] | N
     for k, index in enumerate(shown):
         frame = np.asarray(frames[int(index)])
         gray = frame.mean(axis=-1) if frame.ndim == 3 else frame
-        gray = np.clip(np.nan_to_num(gray.astype(np.float32)) * (255.0 / top), 0, 255)
+        gray = np.clip(finite(gray.astype(np.float32)) * (255.0 / top), 0, 255)
         tile = Image.fromarray(gray.astype(np.uint8)).resize((width, height), Image.Resampling.BOX)
         sheet.paste(tile, (k % across * width, k // across * height))
     layout = {"across": across, "width": width, "height": height}
@@ -192,11 +193,14 @@ def _brightest(frames: Frames, shown: np.ndarray) -> float:
     if np.dtype(frames.dtype) == np.uint8:
         return 255.0
     few = shown[:: max(1, len(shown) // 5)]
-    return max(float(np.nan_to_num(np.asarray(frames[int(k)])).max()) for k in few) or 1.0
+    return max(float(finite(np.asarray(frames[int(k)])).max()) for k in few) or 1.0
 
 
 def _encoded(image: Image.Image) -> str:
-    buffer = io.BytesIO()
     kind = "webp" if features.check("webp") else "jpeg"
-    image.save(buffer, kind.upper(), quality=62)
+    for quality in (62, 40, 20, 5, 0):
+        buffer = io.BytesIO()
+        image.save(buffer, kind.upper(), quality=quality)
+        if buffer.tell() <= SHEET_BYTES:
+            break
     return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from sonosweep.view import svg
 
+LONG = 40  # letters of a name that a legend shows
 MAX_POINTS = 1200  # more than a screen is wide; extremes of each bin are kept
 GRID = "var(--grid,#dfe5ea)"
 MUTED = "var(--muted,#5b6875)"
@@ -35,10 +36,10 @@ class Series:
 class Box:
     """Where a panel's axes lie on the page, in SVG units."""
 
-    left: float
-    top: float
-    width: float
-    height: float
+    left: svg.Number
+    top: svg.Number
+    width: svg.Number
+    height: svg.Number
 
 
 def draw_lines(
@@ -69,13 +70,14 @@ def draw_lines(
     )
 
 
-def legend(series: tuple[Series, ...], left: float, baseline: float) -> str:
+def legend(series: tuple[Series, ...], left: svg.Number, baseline: svg.Number) -> str:
     """Return colour samples with names, in a row."""
     parts, x = [], left
     for one in series:
         y = baseline - 4
         parts.append(svg.line(x, y, x + 22, y, stroke_width=3, style=f"stroke:{one.color}"))
-        name = one.name if one.std is None else f"{one.name} (band: ±1 SD)"
+        name = one.name if len(one.name) <= LONG else f"{one.name[: LONG - 1]}…"
+        name += "" if one.std is None else " (band: ±1 SD)"
         parts.append(svg.text(name, x + 28, baseline))
         x += 48 + 6.6 * len(name)
     return svg.element("g", *parts) if parts else ""

@@ -15,6 +15,7 @@ from PIL import Image
 
 from sonosweep.errors import ScanError
 from sonosweep.scan import Volume, VolumeGrid
+from sonosweep.view.resample import finite, scalar
 
 AXES = "xyz"
 PLANES = ((0, 1), (0, 2), (2, 1))  # axis to the right, axis down
@@ -61,15 +62,15 @@ def display_window(volume: Volume) -> Window:
         return 0.0, 1.0
     low, high = (float(x) for x in np.percentile(values, [0.5, 99.7]))
     low = min(low, 0.0) if low <= 0 or np.issubdtype(volume.voxels.dtype, np.integer) else low
-    return low, high if high > low else low + 1.0
+    return _open_window(low, high)
 
 
 def best_covered(volume: Volume) -> tuple[int, int, int]:
     """Return the voxel (x, y, z) in the middle of what was seen: the median of each axis."""
     step = _stride(volume.voxels.shape[:3], SAMPLES)
     seen = volume.voxels if volume.coverage is None else volume.coverage
-    part = _scalar(seen[::step, ::step, ::step])
-    found = np.nonzero(np.nan_to_num(part))
+    part = scalar(seen[::step, ::step, ::step])
+    found = np.nonzero(finite(part))
     if len(found[0]) == 0:
         x, y, z = volume.grid.size
         return x // 2, y // 2, z // 2
@@ -96,7 +97,7 @@ def orthogonal_cuts(
     pictures = []
     for right, down in PLANES:
         through = _third(right, down)
-        values = _scalar(_slice(volume.voxels, through, voxel[through]))
+        values = scalar(_slice(volume.voxels, through, voxel[through]))
         title = f"{AXES[right]}{AXES[down]} cut at {AXES[through]} = {voxel[through]}"
         gray = to_gray(_oriented(values, right, down), shown)
         pictures.append(_picture(gray, volume.grid, right, down, title, max_pixels))
@@ -118,7 +119,7 @@ def projections(
             projected pixels exceed, which is more than :func:`display_window` has.
         max_pixels: Longest edge of a picture.
     """
-    flat = [_project(volume.voxels, _third(*plane), mode) for plane in PLANES]
+    flat = _maxima(volume.voxels) if mode == "maximum" else _means(volume.voxels)
     shown = window or _projected_window(flat, display_window(volume)[0])
     pictures = []
     for (right, down), values in zip(PLANES, flat, strict=True):
@@ -172,7 +173,7 @@ def difference_cuts(
     for right, down in PLANES:
         through = _third(right, down)
         a, b = (
-            _scalar(_slice(one.voxels, through, voxel[through])).astype(np.float32)
+            scalar(_slice(one.voxels, through, voxel[through])).astype(np.float32)
             for one in (first, second)
         )
         gray = to_gray(_oriented(np.abs(a - b), right, down), (0.0, shown[1] - min(shown[0], 0.0)))
@@ -212,7 +213,7 @@ def encode_small(picture: Picture) -> tuple[bytes, str]:
     return buffer.getvalue(), "image/jpeg"
 
 
-def to_gray(values: np.ndarray, window: Window) -> UInt8[np.ndarray, "rows columns"]:
+def to_gray(values: np.ndarray, window: Window) -> UInt8[np.ndarray, "*shape"]:
     """Return values as gray between black and white; what is not finite is black."""
     low, high = window
     scaled = (values.astype(np.float32) - low) * (255.0 / (high - low))
@@ -239,9 +240,13 @@ def depth_color(depth: np.ndarray) -> np.ndarray:
 
 
 def _projected_window(flat: list[np.ndarray], low: float) -> Window:
-    values = np.concatenate([one[one != 0].ravel() for one in flat])
-    high = float(np.percentile(values, 99.5)) if len(values) else low + 1.0
-    return low, high if high > low else low + 1.0
+    values = np.concatenate([one[one != 0].ravel() for one in flat]).astype(np.float64)
+    return _open_window(low, float(np.percentile(values, 99.5)) if len(values) else low)
+
+
+def _open_window(low: float, high: float) -> Window:
+    """Return a window that can be divided by, around the one value that all voxels have."""
+    return low, high if high > low else low + max(1.0, 1e-6 * abs(low))
 
 
 def _third(right: int, down: int) -> int:
@@ -251,11 +256,6 @@ def _third(right: int, down: int) -> int:
 def _slice(voxels: np.ndarray, axis: int, index: int) -> np.ndarray:
     """Return the slice at an index of x, y or z; the array's axes are (z, y, x)."""
     return np.asarray(voxels[(slice(None),) * (2 - axis) + (index,)])
-
-
-def _scalar(values: np.ndarray) -> np.ndarray:
-    """Return the brightness of voxels with channels, which is their mean."""
-    return values.mean(axis=-1, dtype=np.float32) if values.ndim == 4 else np.asarray(values)
 
 
 def _oriented(values: np.ndarray, right: int, down: int) -> np.ndarray:
@@ -270,11 +270,11 @@ def _stride(shape: tuple[int, ...], samples: int) -> int:
 
 def _sample(volume: Volume) -> np.ndarray:
     step = _stride(volume.voxels.shape[:3], SAMPLES)
-    values = _scalar(np.asarray(volume.voxels[::step, ::step, ::step]))
+    values = scalar(np.asarray(volume.voxels[::step, ::step, ::step]))
     keep = np.isfinite(values) & (values != 0)
     if volume.coverage is not None:
         keep &= volume.coverage[::step, ::step, ::step] > 0
-    return values[keep]
+    return values[keep].astype(np.float64)
 
 
 def _slabs(voxels: np.ndarray):
@@ -282,20 +282,35 @@ def _slabs(voxels: np.ndarray):
     per_slice = int(np.prod(voxels.shape[1:])) * 4
     thickness = max(1, SLAB_BYTES // per_slice)
     for start in range(0, len(voxels), thickness):
-        yield start, np.nan_to_num(_scalar(np.asarray(voxels[start : start + thickness])))
+        yield start, finite(scalar(np.asarray(voxels[start : start + thickness])))
 
 
-def _project(voxels: np.ndarray, axis: int, mode: str) -> np.ndarray:
-    if mode == "maximum":
-        return _maximum_and_place(voxels, axis)[0]
-    along = 2 - axis
-    totals, counts = [], []
+def _maxima(voxels: np.ndarray) -> list[np.ndarray]:
+    """Return the maxima along z, y and x; every voxel is read once."""
+    along_z: np.ndarray | None = None
+    along_y: list[np.ndarray] = []
+    along_x: list[np.ndarray] = []
     for _, slab in _slabs(voxels):
-        totals.append(slab.sum(axis=along, dtype=np.float64))
-        counts.append((slab != 0).sum(axis=along))
-    if along == 0:
-        return np.sum(totals, axis=0) / np.maximum(np.sum(counts, axis=0), 1)
-    return np.concatenate(totals) / np.maximum(np.concatenate(counts), 1)
+        highest = slab.max(axis=0)
+        along_z = highest if along_z is None else np.maximum(along_z, highest)
+        along_y.append(slab.max(axis=1))
+        along_x.append(slab.max(axis=2))
+    return [np.asarray(along_z), np.concatenate(along_y), np.concatenate(along_x)]
+
+
+def _means(voxels: np.ndarray) -> list[np.ndarray]:
+    """Return the means along z, y and x of the voxels that are not 0."""
+    total, count = np.zeros(voxels.shape[1:3]), np.zeros(voxels.shape[1:3], np.int64)
+    along_y: list[np.ndarray] = []
+    along_x: list[np.ndarray] = []
+    for _, slab in _slabs(voxels):
+        seen = slab != 0
+        total += slab.sum(axis=0, dtype=np.float64)
+        count += seen.sum(axis=0)
+        for axis, means in ((1, along_y), (2, along_x)):
+            sums = slab.sum(axis=axis, dtype=np.float64)
+            means.append(sums / np.maximum(seen.sum(axis=axis), 1))
+    return [total / np.maximum(count, 1), np.concatenate(along_y), np.concatenate(along_x)]
 
 
 def _maximum_and_place(voxels: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ from sonosweep.view.camera import project, view_rotation
 from sonosweep.view.figures import frame_outlines
 from sonosweep.view.projections import orthogonal_cuts
 from sonosweep.view.render import render_volume
+from sonosweep.view.resample import finite
 from sonosweep.view.svg import nice_length_mm, number_label
 
 SIZE = (1600, 700)
@@ -102,7 +103,7 @@ def _fitted(points_mm: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _laid_frame(frame: np.ndarray, quad: np.ndarray) -> Image.Image:
     """Return a frame in a parallelogram whose corners go clockwise from pixel (0, 0)."""
-    values = np.nan_to_num(frame.mean(axis=-1) if frame.ndim == 3 else frame.astype(np.float32))
+    values = finite(frame.mean(axis=-1) if frame.ndim == 3 else frame.astype(np.float32))
     top = 255.0 if frame.dtype == np.uint8 else float(values.max()) or 1.0
     gray = np.clip(values * (BRIGHTER * 255.0 / top), 0, 255).astype(np.uint8)
     sides = np.column_stack((quad[1] - quad[0], quad[3] - quad[0]))

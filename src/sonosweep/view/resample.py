@@ -1,7 +1,7 @@
 """Volumes with fewer voxels, for pictures and for the page."""
 
 import numpy as np
-from PIL import Image
+from scipy.sparse import csr_array
 
 from sonosweep.scan import Volume, VolumeGrid, voxel_to_reference
 
@@ -15,20 +15,25 @@ def resample_volume(volume: Volume, max_voxels: int) -> Volume:
     grid = volume.grid
     size = _smaller_size(grid, max_voxels)
     if size == grid.size:
-        return Volume(_scalar(volume.voxels), grid)
+        return Volume(scalar(volume.voxels), grid)
+    means = [_box_means(many, few) for many, few in zip(grid.size, size, strict=True)]
     voxels = np.zeros(size[::-1], np.float32)
-    shares = _shares(grid.size[2], size[2])
-    for z in range(grid.size[2]):
-        values = np.nan_to_num(_scalar(np.asarray(volume.voxels[z : z + 1]))[0])
-        image = Image.fromarray(np.ascontiguousarray(values, dtype=np.float32))
-        thinned = np.asarray(image.resize(size[:2], Image.Resampling.BOX))
-        for target, share in shares[z]:
+    for z, shares in enumerate(means[2].T.tocsr()):
+        values = finite(scalar(np.asarray(volume.voxels[z : z + 1]))[0]).astype(np.float32)
+        thinned = (means[0] @ (means[1] @ values).T).T
+        for target, share in zip(shares.indices, shares.data, strict=True):
             voxels[target] += share * thinned
     return Volume(voxels, _same_box(grid, size))
 
 
-def _scalar(values: np.ndarray) -> np.ndarray:
-    return values.mean(axis=-1, dtype=np.float32) if values.ndim == 4 else values
+def scalar(voxels: np.ndarray) -> np.ndarray:
+    """Return the brightness of voxels ``(z, y, x, channels)``: their mean; others as they are."""
+    return voxels.mean(axis=-1, dtype=np.float32) if voxels.ndim == 4 else np.asarray(voxels)
+
+
+def finite(values: np.ndarray) -> np.ndarray:
+    """Return values with 0 for what is not a number or infinite."""
+    return np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def _smaller_size(grid: VolumeGrid, max_voxels: int) -> tuple[int, int, int]:
@@ -48,19 +53,15 @@ def _smaller_size(grid: VolumeGrid, max_voxels: int) -> tuple[int, int, int]:
     return x, y, z
 
 
-def _shares(count: int, fewer: int) -> list[list[tuple[int, float]]]:
-    """Return for each old slice the new ones it falls into, with its share of their mean."""
-    ratio = count / fewer
-    shares: list[list[tuple[int, float]]] = []
-    for z in range(count):
-        first, last = int(z / ratio), min(int((z + 1) / ratio), fewer - 1)
-        parts = []
-        for target in range(first, last + 1):
-            covered = min(z + 1, (target + 1) * ratio) - max(z, target * ratio)
-            if covered > 1e-9:
-                parts.append((target, covered / ratio))
-        shares.append(parts)
-    return shares
+def _box_means(many: int, few: int) -> csr_array:
+    """Return the matrix that averages ``many`` samples into ``few`` of the same total length."""
+    ratio = many / few
+    edges = np.union1d(np.arange(many + 1), np.arange(few + 1) * ratio)
+    middles = (edges[:-1] + edges[1:]) / 2
+    rows = np.minimum((middles / ratio).astype(int), few - 1)
+    columns = np.minimum(middles.astype(int), many - 1)
+    shares = (np.diff(edges) / ratio).astype(np.float32)
+    return csr_array((shares, (rows, columns)), shape=(few, many))
 
 
 def _same_box(grid: VolumeGrid, size: tuple[int, int, int]) -> VolumeGrid:

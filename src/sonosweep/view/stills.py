@@ -137,7 +137,7 @@ def _rendering(name: str, volume: Volume, first: Trajectory) -> str:
     picture = Picture(shown, edge, "", "", "volume rendering")
     words = f"{name}, seen obliquely from before the first frame; bright is opaque, far is darker"
     drawn = draw_picture(picture)
-    return f"<figure>{drawn}<figcaption>{escape(words.capitalize())}</figcaption></figure>"
+    return f"<figure>{drawn}<figcaption>{escape(words)}</figcaption></figure>"
 
 
 def _row(figures) -> str:

@@ -6,7 +6,8 @@ from html import escape
 RUN_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 """Colours that colour-blind readers can tell apart (Okabe and Ito 2008), one for each run."""
 
-Attribute = str | float | int
+Number = float | int
+Attribute = str | Number
 MINUS = "\N{MINUS SIGN}"
 
 
@@ -31,23 +32,23 @@ def element(tag: str, *children: str, **attributes: Attribute) -> str:
     return f"<{tag}{pairs}>{''.join(children)}</{tag}>" if children else f"<{tag}{pairs}/>"
 
 
-def text(words: str, x: float, y: float, **attributes: Attribute) -> str:
+def text(words: str, x: Number, y: Number, **attributes: Attribute) -> str:
     """Return words at a place; they are escaped."""
     return element("text", escape(words), x=x, y=y, **attributes)
 
 
-def line(x1: float, y1: float, x2: float, y2: float, **attributes: Attribute) -> str:
+def line(x1: Number, y1: Number, x2: Number, y2: Number, **attributes: Attribute) -> str:
     """Return a straight line."""
     return element("line", x1=x1, y1=y1, x2=x2, y2=y2, **attributes)
 
 
-def path_data(points: list[tuple[float, float]], closed: bool = False) -> str:
+def path_data(points: list[tuple[Number, Number]], closed: bool = False) -> str:
     """Return the ``d`` of a path through points."""
     joined = "L".join(f"{_plain(x)} {_plain(y)}" for x, y in points)
     return f"M{joined}{'Z' if closed else ''}"
 
 
-def figure(width: float, height: float, label: str, *children: str) -> str:
+def figure(width: Number, height: Number, label: str, *children: str) -> str:
     """Return a whole picture of ``width`` x ``height`` units that scales to its place.
 
     Args:
@@ -70,7 +71,7 @@ def figure(width: float, height: float, label: str, *children: str) -> str:
     )
 
 
-def nice_step(span: float, count: int) -> float:
+def nice_step(span: Number, count: int) -> float:
     """Return 1, 2 or 5 times a power of ten that divides ``span`` into about ``count``."""
     if not math.isfinite(span) or span <= 0:
         return 1.0
@@ -79,7 +80,7 @@ def nice_step(span: float, count: int) -> float:
     return next(power * factor for factor in (1, 2, 5, 10) if power * factor >= raw * (1 - 1e-9))
 
 
-def nice_ticks(low: float, high: float, count: int = 5) -> list[float]:
+def nice_ticks(low: Number, high: Number, count: int = 5) -> list[float]:
     """Return the round numbers between two values: about ``count``, and two at the least."""
     for finer in (1, 2, 4):
         step = nice_step(high - low, finer * count)
@@ -89,14 +90,14 @@ def nice_ticks(low: float, high: float, count: int = 5) -> list[float]:
     return [index * step for index in range(first, last + 1)]
 
 
-def nice_length_mm(width_mm: float) -> float:
+def nice_length_mm(width_mm: Number) -> float:
     """Return a round length for a scale bar: the largest below three tenths of a width."""
     limit = 0.3 * width_mm
     power = 10.0 ** math.floor(math.log10(limit))
     return next(power * factor for factor in (5, 2, 1) if power * factor <= limit * (1 + 1e-9))
 
 
-def number_label(value: float) -> str:
+def number_label(value: Number) -> str:
     """Return a number as a reader writes it, with a true minus sign."""
     shown = f"{value:.6g}"
     if "e" in shown:

@@ -278,7 +278,7 @@ function pivot() { return volume ? center(volume) : data.pivot; }
 function drawGl() {
   const { gl, program } = gl3d, canvas = $('v-gl');
   canvas.style.visibility = gl && volume ? 'visible' : 'hidden';
-  $('v-nogl').hidden = !!gl;
+  $('v-nogl').hidden = !!gl || !volume;
   if (!gl || !volume) return;
   const ratio = Math.min(window.devicePixelRatio || 1, 1.5);
   const [w, h] = fit(canvas, state.moving && gl3d.slow > 40 ? 0.45 : ratio);
