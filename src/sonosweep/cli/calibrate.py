@@ -1,0 +1,44 @@
+"""``sonosweep calibrate``: the decorrelation curve of a probe and preset."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from sonosweep.cli.inputs import OUTPUT, Force, InputOptions, Json, read
+
+
+def calibrate(
+    scan: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)],
+    length_mm: float | None = None,
+    inputs: InputOptions | None = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Measure how fast speckle decorrelates with elevational motion.
+
+    Do it once per probe and preset; `estimate` and `reconstruct` take the file as
+    --calibration. A tracked sweep is best; one sweep along a ruler is enough.
+
+    Args:
+        scan: A tracked sweep, or with --length-mm any sweep in one direction.
+        output: Where to write the curve (.toml).
+        length_mm: How far the probe went, measured with a ruler.
+    """
+    from sonosweep import estimators
+    from sonosweep.cli.motion import locate
+    from sonosweep.cli.output import check_free, say
+
+    check_free(output, force)
+    recorded = locate(read(scan, inputs), None)
+    curve = estimators.calibrate(recorded, length_mm=length_mm)
+    estimators.write_curve(curve, output)
+    source = "tracked poses" if length_mm is None else f"a length of {length_mm:g} mm"
+    say(
+        f"{recorded.name}: decorrelation curve from {source} -> {output}",
+        {"scan": recorded.name, "source": source, "output": output},
+        json,
+    )

@@ -1,0 +1,57 @@
+"""Options that say how to read a scan, shared by the verbs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Group, Parameter
+
+if TYPE_CHECKING:
+    from sonosweep.scan import Scan
+
+INPUT = Group("Reading the scan", sort_key=2)
+OUTPUT = Group("Output", sort_key=3)
+
+Json = Annotated[bool, Parameter(negative="", group=OUTPUT, help="Print the summary as JSON.")]
+Force = Annotated[bool, Parameter(negative="", group=OUTPUT, help="Overwrite existing output.")]
+
+
+@Parameter(name="*", group=INPUT)
+@dataclass(frozen=True)
+class InputOptions:
+    """How to read a scan.
+
+    Attributes:
+        plus_config: PLUS device set (.xml): its ImageToProbe places the image on the probe.
+        pose_file: Poses beside the images: csv, TUM text or .igs.mha.
+        pixel_spacing: Pixel size in mm, lateral then axial, instead of the file's.
+        frame_rate_hz: Frames per second, instead of the file's times.
+        image_orientation: PLUS's letters (MF, UF, ...), instead of what a sequence says.
+        latency_ms: How much later frame times are than pose times for the same moment.
+        variable: Name of the frames in a .mat file that holds several arrays.
+    """
+
+    plus_config: Path | None = None
+    pose_file: Path | None = None
+    pixel_spacing: tuple[float, float] | None = None
+    frame_rate_hz: float | None = None
+    image_orientation: str | None = None
+    latency_ms: float = 0.0
+    variable: str | None = None
+
+
+def read(path: Path, options: InputOptions | None) -> "Scan":
+    """Return the scan of a path, read as the options say."""
+    from sonosweep.io import open_scan
+
+    chosen = options or InputOptions()
+    return open_scan(
+        path,
+        plus_config=chosen.plus_config,
+        pose_file=chosen.pose_file,
+        spacing_mm=chosen.pixel_spacing,
+        frame_rate_hz=chosen.frame_rate_hz,
+        image_orientation=chosen.image_orientation,
+        latency_s=chosen.latency_ms / 1000,
+        variable=chosen.variable,
+    )

@@ -1,0 +1,193 @@
+"""The one place that looks at a path and decides which reader it needs."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from sonosweep.errors import FormatError, ScanError
+from sonosweep.geometry import is_rigid
+from sonosweep.scan import Calibration, Scan, Trajectory, match_poses
+
+SEQUENCES = (".mha", ".mhd", ".nrrd", ".nhdr")
+HDF5 = (".h5", ".hdf5", ".hdf")
+VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv")
+IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+KNOWN = "PLUS sequences (.mha .mhd .nrrd .nhdr), HDF5 (.h5), DICOM (.dcm), video, .mat, folders"
+
+
+def open_scan(
+    path: str | os.PathLike,
+    *,
+    plus_config: str | os.PathLike | None = None,
+    pose_file: str | os.PathLike | None = None,
+    spacing_mm: tuple[float, float] | None = None,
+    frame_rate_hz: float | None = None,
+    image_orientation: str | None = None,
+    latency_s: float = 0.0,
+    variable: str | None = None,
+) -> Scan:
+    """Return the scan in a file or folder of any format that we read.
+
+    Frames are read when indexed, so opening is quick and small.
+
+    Args:
+        path: A file, or a folder of images or of single-frame DICOM files.
+        plus_config: PLUS device set whose ImageToProbe places the image on the probe.
+        pose_file: Poses beside the images (csv, TUM, ``.igs.mha``): of the image, or of
+            the probe if the calibration says where the image is on it. With timestamps on
+            both sides they are matched by time, else one by one.
+        spacing_mm: Pixel size (lateral, axial), instead of what the file says.
+        frame_rate_hz: Frames per second, instead of the file's times.
+        image_orientation: PLUS's two letters (``"MF"``, ``"UF"``, ...), instead of what a
+            sequence file says.
+        latency_s: How much later the frame times are than the pose file's, for the same
+            moment.
+        variable: Name of the frames in a ``.mat`` file that holds several arrays.
+
+    Raises:
+        FormatError: If the file is missing, of no known format, or broken.
+        ScanError: If its parts contradict each other.
+    """
+    file = Path(path)
+    if not file.exists():
+        raise FormatError(f"there is no '{file}'")
+    scan = _read(file, plus_config, image_orientation, variable)
+    if frame_rate_hz is not None:
+        scan = with_frame_rate(scan, frame_rate_hz)
+    if spacing_mm is not None:
+        scan = with_spacing(scan, spacing_mm)
+    if pose_file is not None:
+        scan = with_poses(scan, Path(pose_file), latency_s)
+    return scan
+
+
+def with_spacing(scan: Scan, spacing_mm: tuple[float, float]) -> Scan:
+    """Return the scan with another pixel size; poses stay with the first pixel."""
+    calibration = scan.calibration or Calibration(spacing_mm)
+    return replace(scan, calibration=replace(calibration, spacing_mm=spacing_mm))
+
+
+def with_frame_rate(scan: Scan, frame_rate_hz: float) -> Scan:
+    """Return the scan with frames at a steady rate from time 0.
+
+    Raises:
+        ScanError: If the rate is not positive.
+    """
+    if not 0 < frame_rate_hz < float("inf"):
+        raise ScanError(f"the frame rate must be above 0 Hz, got {frame_rate_hz:g}")
+    times = torch.arange(len(scan.frames), dtype=torch.float64) / frame_rate_hz
+    return replace(scan, timestamps_s=times)
+
+
+def with_poses(scan: Scan, pose_file: Path, latency_s: float = 0.0) -> Scan:
+    """Return the scan with the poses of a file, matched by time or one by one.
+
+    Raises:
+        FormatError: If the file is not a list of poses.
+        ScanError: If without times the counts differ.
+    """
+    from sonosweep.io.trajectories import read_trajectory
+
+    if not pose_file.exists():
+        raise FormatError(f"there is no '{pose_file}'")
+    samples = read_trajectory(pose_file)
+    poses, tracked = _poses_of_frames(scan, samples, latency_s, pose_file)
+    if scan.calibration is not None and scan.calibration.image_to_probe is not None:
+        poses = poses @ scan.calibration.image_to_probe
+    if tracked is None:
+        tracked = is_rigid(poses)
+    return replace(
+        scan,
+        image_to_reference=poses,
+        tracked=None if bool(tracked.all()) else tracked,
+    )
+
+
+def _poses_of_frames(
+    scan: Scan, samples: Trajectory, latency_s: float, pose_file: Path
+) -> tuple[torch.Tensor, torch.Tensor | None]:
+    """Return one pose per frame, and which of them the tracker really saw."""
+    frames, poses = len(scan.frames), len(samples.image_to_reference)
+    if scan.timestamps_s is not None and samples.timestamps_s is not None:
+        matched = match_poses(
+            samples.timestamps_s, samples.image_to_reference, scan.timestamps_s, latency_s
+        )
+        return matched.image_to_reference, matched.tracked
+    if frames != poses:
+        raise ScanError(
+            f"{frames} frames in '{scan.name}' but {poses} poses in '{pose_file.name}', and"
+            " without times on both sides they cannot be matched: give --frame-rate-hz, or a"
+            " pose file with a time column"
+        )
+    return samples.image_to_reference, None
+
+
+def _read(
+    file: Path, plus_config: str | os.PathLike | None, orientation: str | None, variable: str | None
+) -> Scan:
+    suffix = file.suffix.lower()
+    if file.is_dir():
+        return _read_folder(file)
+    if file.stat().st_size == 0:
+        raise FormatError(f"'{file.name}' is empty")
+    if suffix in SEQUENCES:
+        from sonosweep.io.sequence import read_plus
+
+        return read_plus(file, config=plus_config, orientation=orientation)
+    scan = _read_other(file, suffix, variable)
+    if plus_config is not None:
+        from sonosweep.io.plus_config import read_plus_config
+
+        config = read_plus_config(plus_config)
+        if config.calibration is not None:
+            scan = replace(scan, calibration=config.calibration)
+    return scan
+
+
+def _read_other(file: Path, suffix: str, variable: str | None) -> Scan:
+    if suffix in HDF5:
+        return _read_hdf5(file)
+    if suffix in VIDEOS:
+        from sonosweep.io.video import read_video
+
+        return read_video(file)
+    if suffix == ".mat":
+        from sonosweep.io.matlab import read_mat
+
+        return read_mat(file, variable=variable)
+    if suffix in (".dcm", ".dicom", ".ima") or _is_dicom(file):
+        from sonosweep.io.dicom_cine import read_dicom_cine
+
+        return read_dicom_cine(file)
+    if suffix in IMAGES:
+        raise FormatError(f"'{file.name}' is one image; give the folder that holds all of them")
+    raise FormatError(f"'{file.name}' is of no format we know; we read {KNOWN}")
+
+
+def _read_hdf5(file: Path) -> Scan:
+    from sonosweep.io import hdf5, imfusion_h5, moglo, tusrec, zenodo7740734
+
+    for module in (hdf5, tusrec, moglo, imfusion_h5, zenodo7740734):
+        if module.recognizes(file):
+            return module.read_scan(file)
+    raise FormatError(f"'{file.name}' is HDF5 but of no layout we know; see docs/formats.md")
+
+
+def _read_folder(folder: Path) -> Scan:
+    from sonosweep.io.dicom_cine import read_dicom_cine
+    from sonosweep.io.images import read_images
+
+    files = sorted(child for child in folder.iterdir() if child.is_file())
+    if any(child.suffix.lower() in IMAGES for child in files):
+        return read_images(folder)
+    if any(child.suffix.lower() == ".dcm" or _is_dicom(child) for child in files):
+        return read_dicom_cine(folder)
+    raise FormatError(f"folder '{folder.name}' holds neither images nor DICOM files")
+
+
+def _is_dicom(file: Path) -> bool:
+    """Say whether a file has DICOM's magic word after its preamble."""
+    with file.open("rb") as stream:
+        return stream.read(132)[128:] == b"DICM"
