@@ -1,0 +1,173 @@
+"""The ``frames_res4.h5`` that the code of Li et al. 2023 makes of Zenodo 7740734.
+
+One file for all sweeps, frames at a quarter of the size: ``sub000_scan00_frame0000`` uint8
+(120, 160) and ``sub000_scan00_tform0000`` float32 (4, 4), probe to tracker, with
+``num_frames`` (subjects, sweeps), ``sub_folders`` and ``frame_size``. Delay and status of
+the tracker are already dealt with.
+
+Differs:
+    That code places a pixel of the small images at 4 times its index. They were made by
+    averaging around 4 times the index plus 1.5, and that is where we place it.
+"""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import torch
+
+from sonosweep.errors import FormatError
+from sonosweep.geometry import pose_from_parts
+from sonosweep.io.hdf5_access import (
+    LARGEST_FRAME_BYTES,
+    get_dataset,
+    hdf5_holds,
+    open_hdf5,
+    read_array,
+)
+from sonosweep.io.lazy_index import read_indexed
+from sonosweep.io.rounded_poses import unround_poses
+from sonosweep.io.zenodo7740734 import (
+    CALIBRATION_NAME,
+    image_to_probe_of,
+    read_zenodo_calibration,
+)
+from sonosweep.scan import Calibration, Scan, pixel_to_image
+
+SHRINK = 4
+LARGEST_COUNT = 100_000
+
+
+def is_zenodo7740734_h5(path: str | os.PathLike) -> bool:
+    """Say whether a file is a ``frames_res4.h5``."""
+    return hdf5_holds(path, "num_frames", "sub_folders", "frame_size")
+
+
+def read_zenodo7740734_h5(
+    path: str | os.PathLike,
+    calibration: str | os.PathLike | Calibration | None = None,
+    subject: int = 0,
+    sweep: int = 0,
+) -> Scan:
+    """Return one sweep of a ``frames_res4.h5``; frames are read when indexed.
+
+    Args:
+        path: The file.
+        calibration: The calibration of the full-size images or its csv; ``None`` looks for
+            ``calib_matrix.csv`` beside the file. Without one there are no poses.
+        subject: Which subject, from 0.
+        sweep: Which of the subject's sweeps, from 0.
+
+    Raises:
+        FormatError: If a file is missing, damaged or of another layout, or there is no
+            such sweep.
+        ScanError: If its parts contradict each other.
+    """
+    small = _small_calibration(Path(path), calibration)
+    prefix = f"sub{subject:03d}_scan{sweep:02d}"
+    with open_hdf5(path) as file:
+        count = _count_frames(file, subject, sweep)
+        frames = _open_frames(file, f"{prefix}_frame", count)
+        folders = file["sub_folders"].asstr()[:]
+        tforms = [read_array(file, f"{prefix}_tform{i:04d}", (4, 4)) for i in range(count)]
+    poses = None
+    if small is not None:
+        poses = unround_poses(torch.from_numpy(np.stack(tforms))) @ image_to_probe_of(small)
+    return Scan(
+        name=prefix,
+        frames=frames,
+        calibration=small,
+        image_to_reference=poses,
+        subject=str(folders[subject]) if subject < len(folders) else f"{subject:03d}",
+        notes={} if small else {"poses": f"not used: no {CALIBRATION_NAME} beside the file"},
+    )
+
+
+def shrink_calibration(calibration: Calibration, factor: int) -> Calibration:
+    """Return the calibration of images shrunk by a factor, edges kept where they were."""
+    columns, rows = pixel_to_image(calibration)[:3, 0], pixel_to_image(calibration)[:3, 1]
+    shift = (columns + rows) * ((factor - 1) / 2)
+    moved = pose_from_parts(torch.eye(3, dtype=torch.float64), shift)
+    return replace(
+        calibration,
+        spacing_mm=(calibration.spacing_mm[0] * factor, calibration.spacing_mm[1] * factor),
+        image_to_probe=image_to_probe_of(calibration) @ moved,
+    )
+
+
+class NumberedFrames:
+    """Frames that are one data set each, ``PREFIX0000`` and on, read when indexed.
+
+    Args:
+        path: The HDF5 file.
+        prefix: Name of the data sets without the four digits.
+        shape: Frames, rows and columns.
+        dtype: Type of a pixel.
+    """
+
+    def __init__(
+        self, path: Path, prefix: str, shape: tuple[int, int, int], dtype: np.dtype
+    ) -> None:
+        self._path, self._prefix, self._shape, self._dtype = path, prefix, shape, dtype
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Frames, rows and columns."""
+        return self._shape
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of a pixel."""
+        return self._dtype
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return self._shape[0]
+
+    def __getitem__(self, index: int | slice) -> np.ndarray:
+        """Return one frame, or the frames of a slice."""
+        return read_indexed(index, self._shape, self._dtype, self._read)
+
+    def _read(self, frame: int) -> np.ndarray:
+        with open_hdf5(self._path) as file:
+            stored = read_array(file, f"{self._prefix}{frame:04d}", self._shape[1:])
+        return stored.astype(self._dtype)
+
+
+def _small_calibration(
+    path: Path, calibration: str | os.PathLike | Calibration | None
+) -> Calibration | None:
+    """Return the calibration of the small images; ``None`` if none was given or found."""
+    beside = path.absolute().parent / CALIBRATION_NAME
+    if calibration is None and beside.is_file():
+        calibration = beside
+    if calibration is None:
+        return None
+    if not isinstance(calibration, Calibration):
+        calibration = read_zenodo_calibration(calibration)
+    return shrink_calibration(calibration, SHRINK)
+
+
+def _open_frames(file: h5py.File, prefix: str, count: int) -> NumberedFrames:
+    path = Path(file.filename)
+    first = get_dataset(file, f"{prefix}0000")
+    if len(first.shape) != 2 or first.nbytes > LARGEST_FRAME_BYTES:
+        raise FormatError(f"the frames of '{path.name}' are of shape {first.shape}")
+    rows, columns = first.shape
+    return NumberedFrames(path.resolve(), prefix, (count, rows, columns), first.dtype)
+
+
+def _count_frames(file: h5py.File, subject: int, sweep: int) -> int:
+    counts = read_array(file, "num_frames", (None, None))
+    name = Path(file.filename).name
+    if not (0 <= subject < counts.shape[0] and 0 <= sweep < counts.shape[1]):
+        raise FormatError(
+            f"'{name}' holds {counts.shape[0]} subjects of {counts.shape[1]} sweeps, counted from"
+            f" 0; there is no sweep {sweep} of subject {subject}"
+        )
+    count = float(counts[subject, sweep])
+    if not (count.is_integer() and 0 < count <= LARGEST_COUNT):
+        raise FormatError(f"sweep {sweep} of subject {subject} in '{name}' has {count:g} frames")
+    return int(count)
