@@ -11,12 +11,8 @@ from hypothesis import strategies as st
 from sonosweep.errors import ScanError
 from sonosweep.geometry import invert_pose, pose_from_parts
 from sonosweep.io.sequence import read_sequence
-from sonosweep.scan.latency import (
-    estimate_lag,
-    estimate_latency,
-    image_motion_signal,
-    tracker_motion_signal,
-)
+from sonosweep.scan.latency import estimate_lag, estimate_latency
+from sonosweep.scan.motion_signal import image_motion_signal, tracker_motion_signal
 
 # Straight lines between samples 20 ms apart, of a movement with a period of 1.3 s.
 INTERPOLATION_S = 1e-3

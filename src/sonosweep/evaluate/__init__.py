@@ -2,25 +2,18 @@
 
 from sonosweep.evaluate.compare import TrajectoryComparison, compare_trajectories
 from sonosweep.evaluate.intervals import Interval, bootstrap_interval, paired_interval
-from sonosweep.evaluate.tables import (
-    comparison_row,
-    markdown_table,
-    paper_table,
-    summarize,
-    write_csv,
-    write_json,
-)
+from sonosweep.evaluate.summary import paper_table, summarize, write_comparison
+from sonosweep.evaluate.tables import markdown_table, write_csv
 
 __all__ = [
     "Interval",
     "TrajectoryComparison",
     "bootstrap_interval",
     "compare_trajectories",
-    "comparison_row",
     "markdown_table",
     "paired_interval",
     "paper_table",
     "summarize",
+    "write_comparison",
     "write_csv",
-    "write_json",
 ]
