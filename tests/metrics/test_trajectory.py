@@ -120,6 +120,17 @@ def test_probe_at_rest():
     assert found.correlation_pearson is None
 
 
+def test_an_estimate_that_never_moves_correlates_with_nothing():
+    """Rounding of points that stay where they are is no movement, whatever the truth does."""
+    turn = torch.linspace(0, 1, 50, dtype=torch.float64)[:, None] * torch.ones(3)
+    true = pose_from_parts(rotation_from_vector(turn), 30 * turn)
+
+    found = evaluate_trajectory(true[[0] * 50], true, POINTS)
+
+    assert found.correlation_pearson is None
+    assert found.estimated_path_length_mm == pytest.approx(0, abs=1e-12)
+
+
 def test_wrong_way_correlates_negatively_but_its_cosine_is_high():
     """A sweep taken for its mirror image: Pearson -1, while the paper's Corr stays above 0."""
     found = evaluate_trajectory(

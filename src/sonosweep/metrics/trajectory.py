@@ -288,11 +288,10 @@ def correlation_pearson(
     a, b = transform_points(estimated, points_mm), transform_points(true, points_mm)
     a, b = a - a.mean(0), b - b.mean(0)
     share = weights[:, None]
-    covariance = (share * a * b).sum()
-    deviation = torch.sqrt((share * a * a).sum() * (share * b * b).sum())
-    if not float(deviation) > SHORTEST_PATH_MM**2:
+    spread_a, spread_b = (torch.sqrt((share * c * c).sum()) for c in (a, b))
+    if float(torch.minimum(spread_a, spread_b)) <= SHORTEST_PATH_MM:
         return None
-    return float(covariance / deviation)
+    return float((share * a * b).sum() / (spread_a * spread_b))
 
 
 def _check(estimated: Tensor, true: Tensor, tracked: Tensor | None) -> Tensor:
