@@ -14,11 +14,13 @@ from hypothesis import given
 from sonosweep.errors import FormatError, ScanError
 from sonosweep.evaluate import (
     compare_trajectories,
+    comparison_row,
+    comparison_table,
     markdown_table,
     paper_table,
     summarize,
-    write_comparison,
     write_csv,
+    write_json,
 )
 from sonosweep.geometry import interpolate_poses, pose_from_parts
 from sonosweep.scan import Calibration, Region, Scan, Trajectory
@@ -217,7 +219,7 @@ def test_json_holds_everything(tmp_path):
         scan_of(lost, tracked=torch.tensor([True, False, True])),
     )
 
-    write_comparison([*three_comparisons(), with_gap], tmp_path / "out" / "result.json")
+    write_json([*three_comparisons(), with_gap], tmp_path / "out" / "result.json")
 
     def refuse(constant):
         raise AssertionError(constant)
@@ -233,15 +235,15 @@ def test_json_holds_everything(tmp_path):
 
 
 def test_the_table_people_read():
-    """The sentence, then a line per number with its unit; what is not defined is left out."""
-    scan = scan_of(straight(0.0, 0.5, 0.0))
-    lines = compare_trajectories(Trajectory(straight(0.0, 0.75, 0.25)), scan).table().splitlines()
-
-    assert lines[0] == (
-        "sweep: final drift 0.25 mm (25 % of a path of 1 mm), median 0.25 mm, over 3 frames"
+    """A line per number with its unit; what is not defined is left out."""
+    found = compare_trajectories(
+        Trajectory(straight(0.0, 0.75, 0.25)), scan_of(straight(0.0, 0.5, 0.0))
     )
-    assert [cell.strip() for cell in lines[2].split("|")] == ["", "metric", "value", "unit", ""]
-    cells = {line.split("|")[1].strip(): line.split("|")[2].strip() for line in lines[4:]}
+
+    lines = comparison_table(found).splitlines()
+
+    assert [cell.strip() for cell in lines[0].split("|")] == ["", "metric", "value", "unit", ""]
+    cells = {line.split("|")[1].strip(): line.split("|")[2].strip() for line in lines[2:]}
     assert cells["FD"] == "0.25"
     assert cells["FDR, of the path"] == "25"
     assert cells["GPE"] == "0.25"
@@ -249,18 +251,11 @@ def test_the_table_people_read():
     assert "GLE" not in cells
 
 
-def test_one_comparison_is_a_file_too(tmp_path):
-    """A single comparison is written as a list of one."""
-    write_comparison(three_comparisons()[0], tmp_path / "one.json")
-
-    assert len(json.loads((tmp_path / "one.json").read_text())["scans"]) == 1
-
-
 def test_csv_holds_one_line_per_scan(tmp_path):
     """Numbers come back with every digit; what is missing is empty."""
-    rows = [comparison.as_row() for comparison in three_comparisons()]
+    rows = [comparison_row(comparison) for comparison in three_comparisons()]
 
-    write_comparison(three_comparisons(), tmp_path / "result.csv")
+    write_csv(rows, tmp_path / "result.csv")
 
     with (tmp_path / "result.csv").open(newline="") as file:
         found = list(csv.DictReader(file))
@@ -312,10 +307,8 @@ def test_tables_of_nothing(tmp_path):
         markdown_table([])
     with pytest.raises(ScanError, match="needs a row"):
         write_csv([], tmp_path / "none.csv")
-    with pytest.raises(FormatError, match=r"as \.json or \.csv, not as 'none\.txt'"):
-        write_comparison([], tmp_path / "none.txt")
     with pytest.raises(ScanError, match="no scan"):
-        write_comparison([], tmp_path / "none.json")
+        write_json([], tmp_path / "none.json")
     assert not list(tmp_path.iterdir())
 
 

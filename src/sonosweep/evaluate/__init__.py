@@ -2,7 +2,13 @@
 
 from sonosweep.evaluate.compare import TrajectoryComparison, compare_trajectories
 from sonosweep.evaluate.intervals import Interval, bootstrap_interval, paired_interval
-from sonosweep.evaluate.summary import paper_table, summarize, write_comparison
+from sonosweep.evaluate.summary import (
+    comparison_row,
+    comparison_table,
+    paper_table,
+    summarize,
+    write_json,
+)
 from sonosweep.evaluate.tables import markdown_table, write_csv
 
 __all__ = [
@@ -10,10 +16,12 @@ __all__ = [
     "TrajectoryComparison",
     "bootstrap_interval",
     "compare_trajectories",
+    "comparison_row",
+    "comparison_table",
     "markdown_table",
     "paired_interval",
     "paper_table",
     "summarize",
-    "write_comparison",
     "write_csv",
+    "write_json",
 ]

@@ -1,6 +1,5 @@
 """Compare an estimated trajectory with the tracked one of the same sweep."""
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,7 +8,6 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sonosweep.errors import ScanError
-from sonosweep.evaluate.tables import Cell, markdown_table
 from sonosweep.geometry import steps_from_poses, transform_points
 from sonosweep.metrics import (
     TrajectoryMetrics,
@@ -23,31 +21,6 @@ from sonosweep.scan import Scan, Trajectory, pixel_to_image
 from sonosweep.scan.clock import match_poses
 
 Match = Literal["count", "time"]
-# What people call the numbers, and their units.
-LABELS = {
-    "relative_error_mm": ("rAE, translation", "mm"),
-    "relative_error_deg": ("rAE, rotation", "deg"),
-    "relative_error_mixed": ("rAE as in the paper", "mm and deg"),
-    "accumulated_error_mm": ("aAE, translation", "mm"),
-    "accumulated_error_deg": ("aAE, rotation", "deg"),
-    "accumulated_error_mixed": ("aAE as in the paper", "mm and deg"),
-    "accumulated_angle_deg": ("angle to the true pose", "deg"),
-    "relative_frame_error_mm": ("rFE", "mm"),
-    "accumulated_frame_error_mm": ("aFE", "mm"),
-    "correlation_cosine": ("Corr as in the paper", ""),
-    "correlation_pearson": ("correlation of the movement", ""),
-    "final_drift_mm": ("FD", "mm"),
-    "final_drift_rate_path_percent": ("FDR, of the path", "%"),
-    "final_drift_rate_chord_percent": ("FDR, of the chord", "%"),
-    "median_drift_mm": ("drift, median", "mm"),
-    "maximum_drift_mm": ("drift, largest", "mm"),
-    "path_length_mm": ("path, tracked", "mm"),
-    "estimated_path_length_mm": ("path, estimated", "mm"),
-    "global_pixel_error_mm": ("GPE", "mm"),
-    "global_landmark_error_mm": ("GLE", "mm"),
-    "local_pixel_error_mm": ("LPE", "mm"),
-    "local_landmark_error_mm": ("LLE", "mm"),
-}
 # Tracked frames may be missing, but a gap of more of them than this is not interpolated.
 LARGEST_GAP_FRAMES = 2.5
 
@@ -84,41 +57,6 @@ class TrajectoryComparison:
     direction_agrees: bool | None
     points: str
     assumptions: tuple[str, ...] = ()
-
-    def as_row(self) -> dict[str, Cell]:
-        """Return everything that is one number or word, by name."""
-        row: dict[str, Cell] = {
-            "scan": self.name,
-            "subject": self.subject,
-            "method": self.method,
-            "matched_by": self.matched_by,
-            "frames_without_pose": self.frames_without_pose,
-            "direction_agrees": self.direction_agrees,
-        }
-        row |= self.metrics.as_dict()
-        if self.tusrec is not None:
-            row |= vars(self.tusrec)
-        return row
-
-    def as_dict(self) -> dict[str, object]:
-        """Return everything, ready for JSON: what is not a number is ``None``."""
-        drift = [None if math.isnan(value) else value for value in self.drift_mm.tolist()]
-        return {
-            **self.as_row(),
-            "points": self.points,
-            "assumptions": list(self.assumptions),
-            "drift_mm": drift,
-        }
-
-    def table(self) -> str:
-        """Return a sentence and a table of the numbers, for people."""
-        numbers = self.metrics.as_dict() | ({} if self.tusrec is None else vars(self.tusrec))
-        rows: list[dict[str, Cell]] = [
-            {"metric": label, "value": numbers[name], "unit": unit}
-            for name, (label, unit) in LABELS.items()
-            if numbers.get(name) is not None
-        ]
-        return f"{self}\n\n{markdown_table(rows)}"
 
     def __str__(self) -> str:
         """Return one sentence for people."""

@@ -1,17 +1,42 @@
-"""Many comparisons as one result: means with intervals, the paper's table, files."""
+"""Comparisons as results: tables, means with intervals, json."""
 
 import json
+import math
 import os
 from collections.abc import Sequence
 from importlib.metadata import version
-from pathlib import Path
 
-from sonosweep.errors import FormatError, ScanError
+from sonosweep.errors import ScanError
 from sonosweep.evaluate.compare import TrajectoryComparison
 from sonosweep.evaluate.intervals import Interval, bootstrap_interval
-from sonosweep.evaluate.tables import Cell, cell_text, markdown_table, write_csv
+from sonosweep.evaluate.tables import Cell, cell_text, markdown_table
 from sonosweep.io.atomic import write_beside
 
+# What people call the numbers, and their units.
+LABELS = {
+    "relative_error_mm": ("rAE, translation", "mm"),
+    "relative_error_deg": ("rAE, rotation", "deg"),
+    "relative_error_mixed": ("rAE as in the paper", "mm and deg"),
+    "accumulated_error_mm": ("aAE, translation", "mm"),
+    "accumulated_error_deg": ("aAE, rotation", "deg"),
+    "accumulated_error_mixed": ("aAE as in the paper", "mm and deg"),
+    "accumulated_angle_deg": ("angle to the true pose", "deg"),
+    "relative_frame_error_mm": ("rFE", "mm"),
+    "accumulated_frame_error_mm": ("aFE", "mm"),
+    "correlation_cosine": ("Corr as in the paper", ""),
+    "correlation_pearson": ("correlation of the movement", ""),
+    "final_drift_mm": ("FD", "mm"),
+    "final_drift_rate_path_percent": ("FDR, of the path", "%"),
+    "final_drift_rate_chord_percent": ("FDR, of the chord", "%"),
+    "median_drift_mm": ("drift, median", "mm"),
+    "maximum_drift_mm": ("drift, largest", "mm"),
+    "path_length_mm": ("path, tracked", "mm"),
+    "estimated_path_length_mm": ("path, estimated", "mm"),
+    "global_pixel_error_mm": ("GPE", "mm"),
+    "global_landmark_error_mm": ("GLE", "mm"),
+    "local_pixel_error_mm": ("LPE", "mm"),
+    "local_landmark_error_mm": ("LLE", "mm"),
+}
 # The paper's names; each with the number that its tables print.
 PAPER_COLUMNS = {
     "rAE": "relative_error_mixed",
@@ -23,6 +48,33 @@ PAPER_COLUMNS = {
     "FDR (% of path)": "final_drift_rate_path_percent",
     "FDR (% of chord)": "final_drift_rate_chord_percent",
 }
+
+
+def comparison_row(comparison: TrajectoryComparison) -> dict[str, Cell]:
+    """Return everything about one scan that is one number or word, by name."""
+    row: dict[str, Cell] = {
+        "scan": comparison.name,
+        "subject": comparison.subject,
+        "method": comparison.method,
+        "matched_by": comparison.matched_by,
+        "frames_without_pose": comparison.frames_without_pose,
+        "direction_agrees": comparison.direction_agrees,
+    }
+    row |= comparison.metrics.as_dict()
+    if comparison.tusrec is not None:
+        row |= vars(comparison.tusrec)
+    return row
+
+
+def comparison_table(comparison: TrajectoryComparison) -> str:
+    """Return the numbers of one scan as a Markdown table with their names and units."""
+    numbers = comparison_row(comparison)
+    rows: list[dict[str, Cell]] = [
+        {"metric": label, "value": numbers[name], "unit": unit}
+        for name, (label, unit) in LABELS.items()
+        if numbers.get(name) is not None
+    ]
+    return markdown_table(rows)
 
 
 def summarize(
@@ -68,36 +120,31 @@ def paper_table(comparisons: Sequence[TrajectoryComparison], digits: int = 3) ->
     return markdown_table(rows, digits)
 
 
-def write_comparison(
-    comparisons: TrajectoryComparison | Sequence[TrajectoryComparison], path: str | os.PathLike
-) -> None:
-    """Write one comparison or several: as ``.csv``, one line per scan, or as ``.json``.
-
-    The json holds the drift of every frame, too, and the means over the scans.
+def write_json(comparisons: Sequence[TrajectoryComparison], path: str | os.PathLike) -> None:
+    """Write every number of every scan, its drift per frame, and the means over the scans.
 
     Raises:
         ScanError: If there is no scan.
-        FormatError: If the file ends in something else, or cannot be written.
+        FormatError: If the file cannot be written.
     """
-    several = [comparisons] if isinstance(comparisons, TrajectoryComparison) else list(comparisons)
-    suffix = Path(path).suffix.lower()
-    if suffix == ".csv":
-        write_csv([comparison.as_row() for comparison in several], path)
-    elif suffix == ".json":
-        _write_json(several, path)
-    else:
-        raise FormatError(f"comparisons are written as .json or .csv, not as '{Path(path).name}'")
-
-
-def _write_json(comparisons: Sequence[TrajectoryComparison], path: str | os.PathLike) -> None:
     content = {
         "program": f"sonosweep {version('sonosweep')}",
-        "scans": [comparison.as_dict() for comparison in comparisons],
+        "scans": [_comparison_json(comparison) for comparison in comparisons],
         "means": {name: vars(interval) for name, interval in summarize(comparisons).items()},
     }
     with write_beside(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         json.dump(content, file, indent=2, allow_nan=False)
         file.write("\n")
+
+
+def _comparison_json(comparison: TrajectoryComparison) -> dict[str, object]:
+    drift = [None if math.isnan(value) else value for value in comparison.drift_mm.tolist()]
+    return {
+        **comparison_row(comparison),
+        "points": comparison.points,
+        "assumptions": list(comparison.assumptions),
+        "drift_mm": drift,
+    }
 
 
 def _interval_text(interval: Interval | None, digits: int) -> str | None:
