@@ -5,7 +5,6 @@ that names the patient is read, kept or written.
 """
 
 import struct
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from os import PathLike
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from pydicom import Dataset, dcmwrite
+from pydicom import Dataset
 from pydicom.encaps import itemize_frame
 from pydicom.pixels.encoders import RLELosslessEncoder
 from pydicom.pixels.utils import as_pixel_options
@@ -22,7 +21,7 @@ from pydicom.uid import RLELossless, UltrasoundMultiFrameImageStorage
 from sonosweep.errors import FormatError
 from sonosweep.io.atomic import write_beside
 from sonosweep.io.dicom_frames import DicomFrames, is_dicom, open_dicom
-from sonosweep.io.dicom_new import describe_pixels, describe_rgb, new_dicom
+from sonosweep.io.dicom_new import describe_pixels, describe_rgb, dicom_bytes, new_dicom
 from sonosweep.io.dicom_regions import make_regions, read_regions
 from sonosweep.io.dicom_times import (
     FrameTimes,
@@ -165,11 +164,7 @@ def write_dicom_cine(
     with write_beside(path) as temporary, temporary.open("wb") as file:
         if compressed:
             header.file_meta.TransferSyntaxUID = RLELossless
-        with warnings.catch_warnings():
-            # Beyond some 8000 uneven times the list passes 64 kB; pydicom then says that it
-            # writes it with another length field, as the standard tells it to.
-            warnings.simplefilter("ignore", UserWarning)
-            dcmwrite(file, header, enforce_file_format=True)
+        file.write(dicom_bytes(header))
         if compressed:
             _write_fragments(file, header, frames)
         else:

@@ -1,6 +1,9 @@
 """A new DICOM header that names nobody: no patient, no date, no institution, new UIDs."""
 
-from pydicom import Dataset, FileMetaDataset
+import io
+import warnings
+
+from pydicom import Dataset, FileMetaDataset, dcmwrite
 from pydicom.uid import ExplicitVRLittleEndian, generate_uid
 
 # Elements that the standard wants present and allows to be empty.
@@ -68,3 +71,17 @@ def describe_rgb(header: Dataset, rows: int, columns: int) -> None:
     header.SamplesPerPixel = 3
     header.PhotometricInterpretation = "RGB"
     header.PlanarConfiguration = 0
+
+
+def dicom_bytes(header: Dataset) -> bytes:
+    """Return a header, and pixels if it holds them, as they stand in a file.
+
+    Written to memory first, because pydicom buries a full disk in a traceback of text.
+    """
+    stream = io.BytesIO()
+    with warnings.catch_warnings():
+        # Lists past 64 kB, as of 8000 uneven frame times, need another length field, which
+        # pydicom mentions and writes as the standard tells it to.
+        warnings.simplefilter("ignore", UserWarning)
+        dcmwrite(stream, header, enforce_file_format=True)
+    return stream.getvalue()

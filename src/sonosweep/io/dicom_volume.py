@@ -12,14 +12,20 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydicom import Dataset, dcmwrite
+from pydicom import Dataset
 from pydicom.uid import SecondaryCaptureImageStorage, UltrasoundImageStorage
 from pydicom.valuerep import format_number_as_ds
 
 from sonosweep.errors import FormatError
 from sonosweep.io.atomic_folder import write_folder_beside
 from sonosweep.io.dicom_frames import DicomFrames, is_dicom, open_dicom
-from sonosweep.io.dicom_new import describe_pixels, describe_rgb, new_dicom, new_uid
+from sonosweep.io.dicom_new import (
+    describe_pixels,
+    describe_rgb,
+    dicom_bytes,
+    new_dicom,
+    new_uid,
+)
 from sonosweep.io.guard import refusing
 from sonosweep.io.voxels import lps_matrix, stated_world, volume_from_lps, with_stored_type
 from sonosweep.io.world import World
@@ -73,7 +79,7 @@ def write_dicom_volume(
                 piece = np.clip(levels, 0, LARGEST_LEVEL).astype(np.uint16)
             _state_slice(common, index, matrix)
             _state_pixels(common, piece)
-            dcmwrite(folder / SLICE_NAME.format(index), common, enforce_file_format=True)
+            (folder / SLICE_NAME.format(index)).write_bytes(dicom_bytes(common))
 
 
 def _check_writable(volume: Volume, path: str | PathLike) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -14,11 +14,16 @@ LARGEST_DEFLATE_RATIO = 1032
 CHUNK_BYTES = 1 << 22
 
 
+@runtime_checkable
 class Readable(Protocol):
     """A file, compressed or not."""
 
     def read(self, size: int, /) -> bytes:
         """Return up to ``size`` bytes, none at the end."""
+        ...
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        """Go to a position and return it."""
         ...
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from sonosweep.errors import FormatError
 from sonosweep.io.atomic import write_beside
-from sonosweep.io.guard import LARGEST_DEFLATE_RATIO, check_size, read_array, refusing
+from sonosweep.io.guard import LARGEST_DEFLATE_RATIO, Readable, check_size, read_array, refusing
 from sonosweep.io.voxels import lps_matrix, stated_world, volume_from_lps, with_stored_type
 from sonosweep.io.world import World
 from sonosweep.scan import Volume
@@ -204,7 +204,9 @@ def _read_encoded(
     return values
 
 
-def _skip(header: Mapping[str, Any], file: Any, spare_bytes: int, path: str | PathLike) -> None:
+def _skip(
+    header: Mapping[str, Any], file: Readable, spare_bytes: int, path: str | PathLike
+) -> None:
     """Skip what the header says lies before the voxels."""
     lines = header.get("line skip", header.get("lineskip", 0))
     skip = header.get("byte skip", header.get("byteskip", 0))

@@ -1,6 +1,7 @@
 """The one place that looks at a trajectory's path and decides on its format."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from sonosweep.errors import FormatError, ScanError
@@ -47,8 +48,6 @@ def read_trajectory(path: str | os.PathLike, world: World = "ras") -> Trajectory
 
 
 def _read_from_sequence(file: Path) -> Trajectory:
-    from dataclasses import replace
-
     from sonosweep.io.sequence import read_sequence
     from sonosweep.io.sequence_scan import trajectory_from_sequence
 
