@@ -4,8 +4,9 @@ import base64
 import gzip
 import json
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from html.parser import HTMLParser
+from importlib.resources import files
 from xml.etree import ElementTree
 
 import numpy as np
@@ -14,6 +15,7 @@ import torch
 from PIL import Image
 
 from sonosweep.errors import FormatError, ScanError
+from sonosweep.metrics import TrajectoryMetrics, TusrecErrors, VolumeMetrics
 from sonosweep.scan import Trajectory, Volume, VolumeGrid
 from sonosweep.view import (
     Report,
@@ -22,7 +24,7 @@ from sonosweep.view import (
     write_overview_picture,
     write_report,
 )
-from sonosweep.view.metric_table import format_value
+from sonosweep.view.metric_table import MEANINGS, format_value, metric_table
 from sonosweep.view.svg import MINUS
 
 from .conftest import straight
@@ -277,6 +279,31 @@ def test_the_overview_is_a_picture_for_a_readme(tmp_path, report):
     assert pixels.shape == (700, 1600, 3)
     assert pixels[100:600, 50:600].max() > 200
     assert pixels[100:600, 750:1250].max() > 60
+
+
+def test_every_metric_of_ours_is_explained():
+    """A reader of the table is told what each number that we compute says."""
+    computed = (
+        field.name
+        for kind in (TrajectoryMetrics, TusrecErrors, VolumeMetrics)
+        for field in fields(kind)
+    )
+
+    assert sorted(computed) == sorted(MEANINGS)
+
+
+def test_the_most_telling_numbers_come_first(report):
+    """The table starts with the final drift, whatever the order of the metrics."""
+    metrics = {"psnr_db": (20.0, "dB"), "frames": (20, ""), "final_drift_mm": (1.0, "mm")}
+
+    table = metric_table((replace(report.runs[1], metrics=metrics),))
+
+    assert re.findall(r'title="(\w+)"', table) == ["final_drift_mm", "psnr_db", "frames"]
+
+
+def test_the_script_stays_small():
+    """The interactive part is 25 kB at most: it must not outweigh what it shows."""
+    assert len((files("sonosweep.view") / "viewer.js").read_bytes()) < 25_000
 
 
 @pytest.mark.parametrize(

@@ -53,6 +53,17 @@ MEANINGS: dict[str, tuple[str, str]] = {
 }
 """Label and explanation by the name that :mod:`sonosweep.metrics` gives a number."""
 
+FIRST = (
+    "final_drift_mm",
+    "final_drift_rate_path_percent",
+    "final_drift_rate_chord_percent",
+    "path_length_mm",
+    "estimated_path_length_mm",
+    "accumulated_frame_error_mm",
+    "relative_frame_error_mm",
+)
+"""What most readers look for; the others follow in the order in which they were given."""
+
 SHORT = {
     "rAE": "Mean error of one step, per axis.",
     "aAE": "Mean error since frame 0, per axis.",
@@ -74,7 +85,8 @@ def metric_table(runs: Sequence[ReportRun]) -> str:
     measured = [run for run in runs if run.metrics]
     if not measured:
         return ""
-    names = list(dict.fromkeys(name for run in measured for name in run.metrics or {}))
+    given = dict.fromkeys(name for run in measured for name in run.metrics or {})
+    names = sorted(given, key=lambda name: FIRST.index(name) if name in FIRST else len(FIRST))
     head = "".join(f'<th class="number" scope="col">{escape(run.name)}</th>' for run in measured)
     body = "".join(
         _row(name, [(run.metrics or {}).get(name) for run in measured]) for name in names

@@ -10,7 +10,7 @@ from sonosweep.view.render_kernel import march
 from sonosweep.view.resample import resample_volume
 
 MAX_VOXELS = 3_000_000  # finer than a picture of 640 pixels can show along its depth
-OPACITY_PER_MM = 0.22  # of a white voxel; darker ones go with the square of brightness
+OPACITY = 90.0  # of white voxels all along the diagonal; the square of brightness scales it
 FAR_SHADE = 0.45  # brightness left at the far end of the volume, which gives depth
 
 
@@ -58,6 +58,7 @@ def render_volume(
         np.array([low[0], low[1], low[2]]) + edge / 2 * np.array([1, 1, 0]) - origin
     )
     step_mm = float(spacing.min())
+    diagonal_mm = float(np.linalg.norm(spacing * np.array(small.grid.size)))
     picture = march(
         gray,
         start,
@@ -65,7 +66,7 @@ def render_volume(
         to_voxel[:, 1] * edge,
         to_voxel[:, 2] * step_mm,
         np.array([rows, columns, int(np.ceil((high[2] - low[2]) / step_mm)) + 1]),
-        OPACITY_PER_MM * step_mm,
+        OPACITY * step_mm / diagonal_mm,
         FAR_SHADE,
     )
     bounds = np.array([low[0], low[1], low[0] + columns * edge, low[1] + rows * edge])

@@ -25,6 +25,8 @@ from sonosweep.view.svg import run_color
 
 STILL_PIXELS = 520
 MANY = 24  # pictures; a report with more gets smaller ones, so that it can still be mailed
+NEARLY_BLACK = 8
+MARGIN = 12  # pixels around what is rendered
 Voxel = tuple[int, int, int]
 
 
@@ -40,8 +42,7 @@ def still_pictures(runs: Sequence[ReportRun]) -> str:
     place = _place_mm(shown[0][2], best_covered(shown[0][2]))
     count = sum(7 + 2 * len(run.companions) for _, run, _ in shown)
     pixels = int(STILL_PIXELS * min(1.0, (MANY / count) ** 0.5))
-    renderings = "".join(_rendering(run.name, volume, first) for _, run, volume in shown)
-    parts = [f'<div class="pictures two">{renderings}</div>']
+    parts = [_renderings(shown, first)]
     parts += [_run_pictures(k, run, volume, first, place, pixels) for k, run, volume in shown]
     if len(shown) > 1 and shown[0][2].grid == shown[1][2].grid:
         parts.append(_difference(shown[0][1], shown[1][1], first, place, pixels))
@@ -130,14 +131,32 @@ def _difference(
     return head + row + note
 
 
-def _rendering(name: str, volume: Volume, first: Trajectory) -> str:
+def _renderings(shown: Sequence[tuple[int, ReportRun, Volume]], first: Trajectory) -> str:
+    """Return the volumes seen obliquely, without the margins that are empty in all of them."""
     to_first = invert_pose(first.image_to_reference[0]).numpy()
-    shown, bounds = render_volume(volume, to_first, pixels=STILL_PIXELS)
-    edge = float(bounds[2] - bounds[0]) / shown.shape[1]
-    picture = Picture(shown, edge, "", "", "volume rendering")
-    words = f"{name}, seen obliquely from before the first frame; bright is opaque, far is darker"
-    drawn = draw_picture(picture)
-    return f"<figure>{drawn}<figcaption>{escape(words)}</figcaption></figure>"
+    drawn = [render_volume(volume, to_first, pixels=STILL_PIXELS) for _, _, volume in shown]
+    figures = []
+    for (pixels, bounds), (_, run, _) in zip(drawn, shown, strict=True):
+        alike = [other for other, edges in drawn if np.array_equal(edges, bounds)]
+        rows, columns = _content(np.maximum.reduce(alike))
+        edge = float(bounds[2] - bounds[0]) / pixels.shape[1]
+        picture = Picture(pixels[rows, columns], edge, "", "", "volume rendering")
+        words = f"Seen obliquely from before the first frame ({run.name}); far is darker"
+        figures.append(
+            f"<figure>{draw_picture(picture)}<figcaption>{escape(words)}</figcaption></figure>"
+        )
+    return f'<div class="pictures two">{"".join(figures)}</div>'
+
+
+def _content(pixels: np.ndarray) -> tuple[slice, slice]:
+    """Return the rows and columns where something is to be seen, and a little around them."""
+    found = np.nonzero(pixels > NEARLY_BLACK)
+    if len(found[0]) == 0:
+        return slice(None), slice(None)
+    rows, columns = (
+        slice(max(0, int(index.min()) - MARGIN), int(index.max()) + MARGIN + 1) for index in found
+    )
+    return rows, columns
 
 
 def _row(figures) -> str:

@@ -5,7 +5,7 @@
 const $ = id => document.getElementById(id);
 const data = JSON.parse($('viewer-data').textContent);
 const PLANES = [[0, 1, 2], [0, 2, 1], [2, 1, 0]]; // right, down, through
-const FAR_SHADE = 0.45; // as in render.py
+const FAR_SHADE = 0.45, OPACITY = 90; // as in render.py
 const DEPTH = [[255, 236, 110], [250, 140, 70], [214, 62, 110], [136, 60, 170], [60, 90, 235]];
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const clamp = (v, lo, hi) => Math.min(hi, Math.max(lo, v));
@@ -271,10 +271,10 @@ function screenAxes() {
   const turn = [[ca, 0, -sa], [-se * sa, ce, -se * ca], [ce * sa, se, ce * ca]];
   return turn.map(row => [0, 1, 2].map(c => row[0] * f[0][c] + row[1] * f[1][c] + row[2] * f[2][c]));
 }
-function extentMm() {
-  return volume ? Math.hypot(...volume.size.map((n, k) => n * volume.spacing[k])) : data.extent;
-}
-function pivot() { return volume ? center(volume) : data.pivot; }
+const diagonal = v => Math.hypot(...v.size.map((n, k) => n * v.spacing[k]));
+// The frames say what matters; the volume's box may be much larger.
+const extentMm = () => data.frame_size || !volume ? data.extent : diagonal(volume);
+const pivot = () => data.frame_size || !volume ? data.pivot : center(volume);
 function drawGl() {
   const { gl, program } = gl3d, canvas = $('v-gl');
   canvas.style.visibility = gl && volume ? 'visible' : 'hidden';
@@ -282,17 +282,18 @@ function drawGl() {
   if (!gl || !volume) return;
   const ratio = Math.min(window.devicePixelRatio || 1, 1.5);
   const [w, h] = fit(canvas, state.moving && gl3d.slow > 40 ? 0.45 : ratio);
-  const u = name => gl.getUniformLocation(program, name), rows = screenAxes(), mm = extentMm();
-  const half = mm / 2 / state.zoom / Math.min(1, w / h) * 0.94;
+  const u = name => gl.getUniformLocation(program, name), rows = screenAxes(), mid = toIndex(volume, pivot());
+  const half = extentMm() / 2 / state.zoom / Math.min(1, w / h) * 0.9;
   const texture = volume.axes.map((axis, k) => rows.map(row => dot(axis, row) / (volume.size[k] * volume.spacing[k])));
   gl.viewport(0, 0, w, h);
   gl.uniformMatrix3fv(u('toTexture'), true, texture.flat());
-  gl.uniform3f(u('middle'), 0.5, 0.5, 0.5);
+  gl.uniform3f(u('middle'), ...mid.map((x, k) => (x + 0.5) / volume.size[k]));
   gl.uniform2f(u('halfSize'), half * w / h, -half);
-  gl.uniform1f(u('reach'), mm / 2);
+  const away = center(volume).map((x, c) => x - pivot()[c]), reach = diagonal(volume) / 2 + Math.hypot(...away);
+  gl.uniform1f(u('reach'), reach);
   const fine = state.moving ? 160 : 420;
   gl.uniform1i(u('steps'), fine);
-  gl.uniform1f(u('opacity'), 0.22 * mm / fine);
+  gl.uniform1f(u('opacity'), OPACITY * 2 * reach / diagonal(volume) / fine);
   gl.uniform2f(u('grayWindow'), state.black / 255, Math.max(state.white, state.black + 1) / 255);
   gl.uniform1i(u('mode'), ['render', 'maximum', 'depth'].indexOf(state.mode));
   gl.uniform3fv(u('ramp'), DEPTH.flat().map(c => c / 255));
@@ -323,7 +324,7 @@ function textureToTexture() {
 function drawLines() {
   const canvas = $('v-lines'), ratio = window.devicePixelRatio || 1, [w, h] = fit(canvas, ratio);
   const ctx = canvas.getContext('2d'), rows = screenAxes(), c = pivot();
-  const half = extentMm() / 2 / state.zoom / Math.min(1, w / h) * 0.94, scale = h / 2 / half;
+  const half = extentMm() / 2 / state.zoom / Math.min(1, w / h) * 0.9, scale = h / 2 / half;
   const at = p => { const q = [p[0] - c[0], p[1] - c[1], p[2] - c[2]];
     return [w / 2 + dot(rows[0], q) * scale, h / 2 + dot(rows[1], q) * scale]; };
   const stroke = (points, style, width, closed) => {
