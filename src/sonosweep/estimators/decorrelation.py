@@ -41,6 +41,12 @@ ROLL_STD_RAD = math.radians(1.0)
 SHIFT_STD_MM = 3.0
 """Translation of a step: as wide as makes no difference to a step that was seen."""
 
+UNEVEN = 0.2
+"""By how much one side of the image may decorrelate faster than the curve says, relative."""
+
+UNEVEN_TRACKED = 0.1
+"""The same for a curve whose change with depth was measured."""
+
 FARTHEST = 0.3
 """Part of the curve's peak below which a long pair is left out: it only says "far"."""
 
@@ -132,7 +138,25 @@ def fit_pair(
     out_of_plane = fit_out_of_plane(
         match.correlation, match.speckles, curve, width_mm, grid.from_middle_mm, grid.redundancy
     )
-    return FittedPair(pair.first, pair.last, match.in_plane, out_of_plane)
+    return FittedPair(
+        pair.first, pair.last, match.in_plane, _less_sure_of_turns(out_of_plane, curve, grid)
+    )
+
+
+def _less_sure_of_turns(fit: PlaneFit, curve: DecorrelationCurve, grid: PatchGrid) -> PlaneFit:
+    """Return the fit with the error that the curve itself makes from one side to the other.
+
+    Tissue that decorrelates faster on one side looks like a turn, in every frame alike, so
+    no scatter of patches shows it.
+    """
+    if fit is NOTHING:
+        return fit
+    covariance = np.linalg.inv(fit.information)
+    across_mm = grid.from_middle_mm.std(axis=0)
+    uneven = UNEVEN_TRACKED if curve.source == "tracked" else UNEVEN
+    turn_rad = uneven * abs(fit.value[0]) / across_mm[::-1]
+    covariance[[1, 2], [1, 2]] += turn_rad**2
+    return PlaneFit(fit.value, np.linalg.inv(covariance))
 
 
 def fuse_motion(
