@@ -20,7 +20,7 @@ from torch import Tensor
 
 from sonosweep.errors import FormatError
 from sonosweep.io.image_orientation import check_orientation, turn_frames, turn_to
-from sonosweep.io.metaimage import METAIMAGE_FIELDS, OWN_PREFIX, read_metaimage_header
+from sonosweep.io.metaimage_header import METAIMAGE_FIELDS, OWN_PREFIX, read_metaimage_header
 from sonosweep.io.pixel_data import PixelData, StoredFrames
 from sonosweep.io.sequence_fields import (
     FrameTransforms,

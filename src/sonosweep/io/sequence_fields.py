@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sonosweep.errors import FormatError
-from sonosweep.io.metaimage import numbers_text
+from sonosweep.io.metaimage_header import numbers_text
 
 TransformName = tuple[str, str]
 FRAME_FIELD = re.compile(r"Seq_Frame(\d{1,15})_(.+)", re.ASCII | re.IGNORECASE)

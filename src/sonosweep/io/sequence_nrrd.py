@@ -14,7 +14,7 @@ import numpy as np
 
 from sonosweep.errors import FormatError
 from sonosweep.io.header_lines import header_lines, open_binary
-from sonosweep.io.metaimage import data_file, header_counts
+from sonosweep.io.metaimage_header import data_file, header_counts
 from sonosweep.io.pixel_data import PixelData
 
 # NRRD's own fields, in lower case, and the two that IGSIO adds for the whole file.

@@ -19,7 +19,7 @@ from torch import Tensor
 from sonosweep.errors import FormatError, ScanError
 from sonosweep.io.atomic import write_beside
 from sonosweep.io.image_orientation import turn_to
-from sonosweep.io.metaimage import (
+from sonosweep.io.metaimage_header import (
     LONGEST_WRITTEN_LINE,
     OWN_PREFIX,
     element_type,
