@@ -25,15 +25,15 @@ def estimate(
         scan: File or folder of the sweep.
         output: Where to write: .csv, .txt (TUM), .igs.mha, .tfm or .mrk.json.
     """
+    from sonosweep.cli.info import path_length_mm
     from sonosweep.cli.motion import find_trajectory
     from sonosweep.cli.output import check_free, say
     from sonosweep.io import write_trajectory
-    from sonosweep.metrics import path_length_mm
 
     check_free(output, force)
     recorded, trajectory = find_trajectory(read(scan, inputs), motion or MotionOptions())
     write_trajectory(trajectory, output)
-    length = float(path_length_mm(trajectory.image_to_reference))
+    length = path_length_mm(recorded, trajectory.image_to_reference)
     frames = len(trajectory.image_to_reference)
     say(
         f"{recorded.name}: {frames} frames, {length:.1f} mm, {trajectory.method} -> {output}",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from sonosweep.cli.inputs import OUTPUT, Force, InputOptions, Json, read
+from sonosweep.errors import FormatError
 
 if TYPE_CHECKING:
     from sonosweep.scan import Trajectory
@@ -29,23 +30,34 @@ def evaluate(
         output: Where to write the numbers: .json or .csv; both with no suffix.
     """
     from sonosweep.cli.output import check_free, say
-    from sonosweep.evaluate import compare_trajectories, write_comparison
+    from sonosweep.evaluate import (
+        compare_trajectories,
+        comparison_row,
+        comparison_table,
+        write_csv,
+        write_json,
+    )
 
     paths = _outputs(output)
     for path in paths:
         check_free(path, force)
-    scan = read(tracked, inputs)
-    result = compare_trajectories(_trajectory(estimated), scan)
+    result = compare_trajectories(_trajectory(estimated), read(tracked, inputs))
+    row = comparison_row(result)
     for path in paths:
-        write_comparison(result, path)
-    say(result.table(), result.as_dict(), json)
+        if path.suffix.lower() == ".csv":
+            write_csv([row], path)
+        else:
+            write_json([result], path)
+    say(f"{result}\n\n{comparison_table(result)}", row, json)
 
 
 def _outputs(output: Path | None) -> tuple[Path, ...]:
     if output is None:
         return ()
-    if output.suffix:
+    if output.suffix.lower() in (".json", ".csv"):
         return (output,)
+    if output.suffix:
+        raise FormatError(f"'{output}' must end with .json or .csv, or with neither for both")
     return (output.with_suffix(".json"), output.with_suffix(".csv"))
 
 

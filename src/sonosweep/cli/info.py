@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 from sonosweep.cli.inputs import InputOptions, Json, read
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from sonosweep.scan import Scan
 
 
@@ -36,7 +38,6 @@ def info(
 
 def describe(scan: "Scan") -> dict[str, Any]:  # Any: the values of a JSON object
     """Return the facts of a scan by name; ``None`` for what is missing."""
-    from sonosweep.metrics import path_length_mm
     from sonosweep.scan import select_tracked
 
     frames, rows, columns = scan.frames.shape[:3]
@@ -60,21 +61,37 @@ def describe(scan: "Scan") -> dict[str, Any]:  # Any: the values of a JSON objec
     times = scan.timestamps_s
     facts["duration_s"] = None if times is None else float(times[-1] - times[0])
     if times is not None and len(times) > 1:
-        facts["frame_rate_hz"] = 1 / float(times.diff().median())
+        facts["frame_rate_hz"] = (frames - 1) / facts["duration_s"]
     if scan.image_to_reference is not None:
         facts["poses"] = frames if scan.tracked is None else int(scan.tracked.sum())
         if facts["poses"]:
             poses = select_tracked(scan).image_to_reference
             assert poses is not None
-            facts["path_length_mm"] = float(path_length_mm(poses))
+            facts["path_length_mm"] = path_length_mm(scan, poses)
     return facts
+
+
+def path_length_mm(scan: "Scan", image_to_reference: "Tensor") -> float:
+    """Return how far the centre of the image went along the poses."""
+    import torch
+
+    from sonosweep.metrics.trajectory import path_length
+    from sonosweep.scan import pixel_to_image
+
+    center = torch.zeros(3, dtype=torch.float64)
+    if scan.calibration is not None:
+        rows, columns = scan.frames.shape[1:3]
+        middle = torch.tensor([(columns - 1) / 2, (rows - 1) / 2, 0, 1], dtype=torch.float64)
+        center = (pixel_to_image(scan.calibration) @ middle)[:3]
+    return float(path_length(image_to_reference, center))
 
 
 def _transforms(path: Path, inputs: InputOptions | None) -> list[str]:
     """Return the links of a sequence's transform graph, as a person reads them."""
     from sonosweep.io.open import SEQUENCES
     from sonosweep.io.plus_config import read_plus_config
-    from sonosweep.io.sequence import read_sequence, transform_graph
+    from sonosweep.io.sequence import read_sequence
+    from sonosweep.io.transform_graph import transform_graph
 
     if path.suffix.lower() not in SEQUENCES:
         return []
@@ -82,7 +99,7 @@ def _transforms(path: Path, inputs: InputOptions | None) -> list[str]:
     if inputs is not None and inputs.plus_config is not None:
         config = read_plus_config(inputs.plus_config)
     links = transform_graph(read_sequence(path), config)
-    return [f"{link.source} -> {link.target}: {link.origin}" for link in links]
+    return [f"{link.name}: {link.origin}, {link.valid} valid" for link in links]
 
 
 def _lag(scan: "Scan", tracker_file: Path) -> dict[str, float]:
@@ -98,7 +115,7 @@ def _lag(scan: "Scan", tracker_file: Path) -> dict[str, float]:
     )
     return {
         "latency_s": found.lag_s,
-        "standard_error_s": found.standard_error_s,
+        "uncertainty_s": found.uncertainty_s,
         "correlation": found.correlation,
     }
 
@@ -123,7 +140,7 @@ def _table(facts: dict[str, Any]) -> str:
         lines.append(
             (
                 "latency",
-                f"{1e3 * lag['latency_s']:.1f} ms +- {1e3 * lag['standard_error_s']:.1f} ms:"
+                f"{1e3 * lag['latency_s']:.1f} ms +- {1e3 * lag['uncertainty_s']:.1f} ms:"
                 " frames are stamped that much later than the tracker"
                 f" (correlation {lag['correlation']:.3f})",
             )

@@ -28,6 +28,7 @@ class InputOptions:
         frame_rate_hz: Frames per second, instead of the file's times.
         image_orientation: PLUS's letters (MF, UF, ...), instead of what a sequence says.
         latency_ms: How much later frame times are than pose times for the same moment.
+        max_gap_ms: Longest time between two poses to interpolate over.
         variable: Name of the frames in a .mat file that holds several arrays.
     """
 
@@ -37,6 +38,7 @@ class InputOptions:
     frame_rate_hz: float | None = None
     image_orientation: str | None = None
     latency_ms: float = 0.0
+    max_gap_ms: float = 100.0
     variable: str | None = None
 
 
@@ -53,5 +55,6 @@ def read(path: Path, options: InputOptions | None) -> "Scan":
         frame_rate_hz=chosen.frame_rate_hz,
         image_orientation=chosen.image_orientation,
         latency_s=chosen.latency_ms / 1000,
+        max_gap_s=chosen.max_gap_ms / 1000,
         variable=chosen.variable,
     )

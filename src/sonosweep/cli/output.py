@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -66,7 +65,7 @@ def whole_folder(folder: Path, force: bool) -> Iterator[Path]:
             target = folder / item.name
             if target.is_dir():
                 shutil.rmtree(target)
-            os.replace(item, target)
+            item.replace(target)
     except OSError as error:
         raise FormatError(f"cannot write to '{folder}': {error.strerror or error}") from error
     finally:

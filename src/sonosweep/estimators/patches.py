@@ -14,7 +14,7 @@ INSIDE = 0.95
 BORDER_PX = 3
 """Kept free around all patches, so that a small motion does not lose the outer ones."""
 
-SMALLEST_PATCH_PX = 16
+SMALLEST_PATCH_PX = 24
 """Below this a patch holds too few speckles to correlate."""
 
 
@@ -62,7 +62,10 @@ def patch_grid(scan: Scan, patches_across: float = 8.0) -> PatchGrid:
         ScanError: If the scan has no pixel spacing, or its image is too small.
     """
     if scan.calibration is None:
-        raise ScanError(f"'{scan.name}' has no pixel spacing, so motion in mm cannot be told")
+        raise ScanError(
+            f"'{scan.name}' has no pixel spacing, so motion in mm cannot be told: give it with"
+            " --pixel-spacing LATERAL AXIAL in mm"
+        )
     mask, rectangle = _region(scan)
     column, row, width, height = rectangle
     side = max(SMALLEST_PATCH_PX, 2 * round(max(width, height) / (2 * patches_across)))

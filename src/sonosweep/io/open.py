@@ -1,14 +1,14 @@
 """The one place that looks at a path and decides which reader it needs."""
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from sonosweep.errors import FormatError, ScanError
-from sonosweep.geometry import is_rigid
-from sonosweep.scan import Calibration, Scan, Trajectory, match_poses
+from sonosweep.scan import Calibration, Scan, calibration_from_matrix
 
 SEQUENCES = (".mha", ".mhd", ".nrrd", ".nhdr")
 HDF5 = (".h5", ".hdf5", ".hdf")
@@ -26,6 +26,7 @@ def open_scan(
     frame_rate_hz: float | None = None,
     image_orientation: str | None = None,
     latency_s: float = 0.0,
+    max_gap_s: float = 0.1,
     variable: str | None = None,
 ) -> Scan:
     """Return the scan in a file or folder of any format that we read.
@@ -44,6 +45,7 @@ def open_scan(
             sequence file says.
         latency_s: How much later the frame times are than the pose file's, for the same
             moment.
+        max_gap_s: Longest time between two poses to interpolate over.
         variable: Name of the frames in a ``.mat`` file that holds several arrays.
 
     Raises:
@@ -59,7 +61,9 @@ def open_scan(
     if spacing_mm is not None:
         scan = with_spacing(scan, spacing_mm)
     if pose_file is not None:
-        scan = with_poses(scan, Path(pose_file), latency_s)
+        from sonosweep.io.attach_poses import attach_poses
+
+        scan = attach_poses(scan, Path(pose_file), latency_s, max_gap_s)
     return scan
 
 
@@ -81,49 +85,6 @@ def with_frame_rate(scan: Scan, frame_rate_hz: float) -> Scan:
     return replace(scan, timestamps_s=times)
 
 
-def with_poses(scan: Scan, pose_file: Path, latency_s: float = 0.0) -> Scan:
-    """Return the scan with the poses of a file, matched by time or one by one.
-
-    Raises:
-        FormatError: If the file is not a list of poses.
-        ScanError: If without times the counts differ.
-    """
-    from sonosweep.io.trajectories import read_trajectory
-
-    if not pose_file.exists():
-        raise FormatError(f"there is no '{pose_file}'")
-    samples = read_trajectory(pose_file)
-    poses, tracked = _poses_of_frames(scan, samples, latency_s, pose_file)
-    if scan.calibration is not None and scan.calibration.image_to_probe is not None:
-        poses = poses @ scan.calibration.image_to_probe
-    if tracked is None:
-        tracked = is_rigid(poses)
-    return replace(
-        scan,
-        image_to_reference=poses,
-        tracked=None if bool(tracked.all()) else tracked,
-    )
-
-
-def _poses_of_frames(
-    scan: Scan, samples: Trajectory, latency_s: float, pose_file: Path
-) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """Return one pose per frame, and which of them the tracker really saw."""
-    frames, poses = len(scan.frames), len(samples.image_to_reference)
-    if scan.timestamps_s is not None and samples.timestamps_s is not None:
-        matched = match_poses(
-            samples.timestamps_s, samples.image_to_reference, scan.timestamps_s, latency_s
-        )
-        return matched.image_to_reference, matched.tracked
-    if frames != poses:
-        raise ScanError(
-            f"{frames} frames in '{scan.name}' but {poses} poses in '{pose_file.name}', and"
-            " without times on both sides they cannot be matched: give --frame-rate-hz, or a"
-            " pose file with a time column"
-        )
-    return samples.image_to_reference, None
-
-
 def _read(
     file: Path, plus_config: str | os.PathLike | None, orientation: str | None, variable: str | None
 ) -> Scan:
@@ -133,16 +94,16 @@ def _read(
     if file.stat().st_size == 0:
         raise FormatError(f"'{file.name}' is empty")
     if suffix in SEQUENCES:
-        from sonosweep.io.sequence import read_plus
+        from sonosweep.io.sequence_scan import read_plus
 
         return read_plus(file, config=plus_config, orientation=orientation)
     scan = _read_other(file, suffix, variable)
     if plus_config is not None:
         from sonosweep.io.plus_config import read_plus_config
 
-        config = read_plus_config(plus_config)
-        if config.calibration is not None:
-            scan = replace(scan, calibration=config.calibration)
+        measured = read_plus_config(plus_config).transforms.get(("Image", "Probe"))
+        if measured is not None:
+            scan = replace(scan, calibration=calibration_from_matrix(measured))
     return scan
 
 
@@ -167,11 +128,23 @@ def _read_other(file: Path, suffix: str, variable: str | None) -> Scan:
 
 
 def _read_hdf5(file: Path) -> Scan:
-    from sonosweep.io import hdf5, imfusion_h5, moglo, tusrec, zenodo7740734
+    """Ask each layout whether the file is one of its own."""
+    from sonosweep.io.hdf5 import is_scan_hdf5, read_scan
+    from sonosweep.io.imfusion_h5 import is_imfusion_h5, read_imfusion_h5
+    from sonosweep.io.moglo import is_moglo, read_moglo
+    from sonosweep.io.tusrec import is_tusrec, read_tusrec
+    from sonosweep.io.zenodo7740734_h5 import is_zenodo7740734_h5, read_zenodo7740734_h5
 
-    for module in (hdf5, tusrec, moglo, imfusion_h5, zenodo7740734):
-        if module.recognizes(file):
-            return module.read_scan(file)
+    layouts: tuple[tuple[Callable[[Path], bool], Callable[[Path], Scan]], ...] = (
+        (is_scan_hdf5, read_scan),
+        (is_tusrec, read_tusrec),
+        (is_moglo, read_moglo),
+        (is_imfusion_h5, read_imfusion_h5),
+        (is_zenodo7740734_h5, read_zenodo7740734_h5),
+    )
+    for recognizes, read in layouts:
+        if recognizes(file):
+            return read(file)
     raise FormatError(f"'{file.name}' is HDF5 but of no layout we know; see docs/formats.md")
 
 

@@ -31,7 +31,7 @@ def write_scan_as(
         scan = replace(scan, subject=None)
     suffix = file.suffix.lower()
     if suffix in (".mha", ".nrrd"):
-        from sonosweep.io.sequence import write_sequence
+        from sonosweep.io.sequence_write import write_sequence
 
         write_sequence(scan, file)
     elif suffix in (".h5", ".hdf5"):
@@ -49,7 +49,7 @@ def write_scan_as(
 
 def _write_pictures(scan: Scan, file: Path, suffix: str) -> tuple[Path, ...]:
     if suffix in (".mp4", ".mkv"):
-        from sonosweep.io.video import write_video
+        from sonosweep.io.video_write import write_video
 
         write_video(scan.frames, scan.timestamps_s, file)
         poses = file.with_name(f"{file.stem}_poses.csv")
@@ -67,7 +67,7 @@ def _write_pictures(scan: Scan, file: Path, suffix: str) -> tuple[Path, ...]:
 
 
 def _write_poses(scan: Scan, path: Path) -> None:
-    from sonosweep.io.pose_table import write_trajectory_csv
+    from sonosweep.io.trajectory_text import write_trajectory_csv
 
     tracked = select_tracked(scan)
     assert tracked.image_to_reference is not None

@@ -1,0 +1,64 @@
+"""One sweep, reconstructed with its tracker and without, side by side."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from sonosweep.cli.job import (
+    JobResult,
+    compare_run,
+    gray,
+    make_report,
+    make_volumes,
+    report_run,
+    summarize,
+    write_results,
+)
+from sonosweep.cli.motion import MotionOptions, find_trajectory, locate
+from sonosweep.cli.output import plain
+from sonosweep.io.demo_sweep import read_demo_sweep
+from sonosweep.metrics import align_first_frame
+from sonosweep.reconstruct import B_MODE, VolumeSettings, sweep_grid, tracked_trajectory
+from sonosweep.scan import Trajectory
+from sonosweep.view import write_report
+
+VOXEL_MM = 0.8  # two and a half pixels: the report is quick to load
+
+
+def run_demo(folder: Path) -> JobResult:
+    """Reconstruct the packaged sweep twice and write everything into a folder."""
+    print("reading the packaged sweep (liver, curved probe, 140 frames)", file=sys.stderr)
+    scan = locate(gray(read_demo_sweep()), None)
+    tracked = tracked_trajectory(scan)
+    _, estimated = find_trajectory(scan, MotionOptions(direction="backward"))
+    sensorless = replace(
+        estimated,
+        image_to_reference=align_first_frame(
+            estimated.image_to_reference, tracked.image_to_reference
+        ),
+    )
+    both = Trajectory(torch.cat((tracked.image_to_reference, sensorless.image_to_reference)))
+    settings = VolumeSettings(voxel_mm=VOXEL_MM)
+    settings = replace(settings, grid=sweep_grid(scan, both, settings))
+    volumes, files = {}, []
+    for name, trajectory in (("tracked", tracked), ("sensorless", sensorless)):
+        volumes[name] = make_volumes(scan, trajectory, settings)
+        (folder / name).mkdir()
+        written = write_results(folder / name, trajectory, volumes[name])
+        files += [f"{name}/{file}" for file in written]
+    compared, words = compare_run("sensorless", scan, sensorless, volumes["sensorless"])
+    runs = (report_run("tracked", tracked, volumes["tracked"]), compared)
+    report = make_report(
+        scan,
+        runs,
+        words,
+        (*files, "report.html", "summary.json"),
+        "A liver sweep, with and without its tracker",
+    )
+    write_report(folder / "report.html", report)
+    summary = summarize(scan, runs, volumes["tracked"][B_MODE], report)
+    (folder / "summary.json").write_text(json.dumps(plain(summary), indent=2) + "\n")
+    return JobResult("\n".join([f"{scan.name}: {len(scan.frames)} frames.", *words]), summary)

@@ -1,0 +1,156 @@
+"""The main job, run as a person runs it."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from sonosweep.io import read_trajectory, read_volume
+
+OUTPUTS = {
+    "coverage.nrrd",
+    "open_in_slicer.py",
+    "report.html",
+    "summary.json",
+    "trajectory.csv",
+    "trajectory.mrk.json",
+    "volume.nrrd",
+    "volume_photoacoustic.nrrd",
+}
+
+
+def test_tracked_sweep_to_volume(run, sweep, tmp_path):
+    """A tracked sweep of 12 frames 0.2 mm apart becomes a volume as long as the sweep."""
+    ran = run("reconstruct", sweep, "--poses", "tracked", "-o", "out", "--voxel-mm", "0.2")
+
+    assert ran.code == 0, ran.error
+    assert ran.out.startswith("speckle: 12 frames, tracked, 80 x 96 x 12 voxels of 0.2 mm")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == OUTPUTS
+    volume = read_volume(tmp_path / "out" / "volume.nrrd")
+    assert volume.voxels.shape == (12, 96, 80)
+    assert volume.voxels.mean() > 50
+
+
+def test_sensorless_sweep_tells_how_far_it_is_off(run, sweep, tmp_path):
+    """Without the poses the same sweep is estimated, and compared with them in words."""
+    ran = run("reconstruct", sweep, "-o", "out", "--json")
+
+    assert ran.code == 0, ran.error
+    summary = json.loads(ran.out)
+    metrics = summary["runs"][0]["metrics"]
+    assert metrics["path_length_mm"] == pytest.approx(2.2)
+    assert metrics["final_drift_mm"] > 0
+    assert any("forward" in sentence for sentence in summary["assumptions"])
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["scan"] == "speckle"
+    trajectory = read_trajectory(tmp_path / "out" / "trajectory.csv")
+    assert len(trajectory.image_to_reference) == 12
+
+
+def test_backward_is_the_mirror_of_forward(run, sweep, tmp_path):
+    """The direction is the user's word: it flips the elevational way and nothing lateral."""
+    for direction in ("forward", "backward"):
+        ran = run("estimate", sweep, "-o", f"{direction}.csv", "--direction", direction)
+        assert ran.code == 0, ran.error
+
+    forward, backward = (
+        read_trajectory(tmp_path / f"{d}.csv").image_to_reference[1, :3, 3].numpy()
+        for d in ("forward", "backward")
+    )
+
+    assert forward[2] > 0
+    assert np.allclose(forward * [1, 1, -1], backward, atol=1e-12)
+
+
+def test_estimate_then_evaluate(run, sweep, tmp_path):
+    """An estimated trajectory is measured against the scan's own poses, as json and csv."""
+    assert run("estimate", sweep, "-o", "path.csv").code == 0
+
+    ran = run("evaluate", "path.csv", sweep, "-o", "numbers")
+
+    assert ran.code == 0, ran.error
+    numbers = json.loads((tmp_path / "numbers.json").read_text())
+    assert "final_drift_mm" in json.dumps(numbers)
+    assert (tmp_path / "numbers.csv").read_text().count("\n") >= 2
+
+
+def test_calibration_by_length_sets_the_length(run, sweep, tmp_path):
+    """With a curve from the sweep's own length, the estimate is that long."""
+    ran = run("calibrate", sweep, "--length-mm", "2.2", "-o", "probe.toml")
+    assert ran.code == 0, ran.error
+
+    ran = run("estimate", sweep, "--calibration", "probe.toml", "-o", "path.csv")
+
+    assert ran.code == 0, ran.error
+    path = read_trajectory(tmp_path / "path.csv").image_to_reference
+    assert float(path[-1, 2, 3]) == pytest.approx(2.2, rel=0.05)  # curve fit and fusion
+
+
+def test_nothing_is_overwritten_without_force(run, sweep, tmp_path):
+    """A second run into the same folder is refused, leaves it as it was, and obeys --force."""
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "mine.txt").write_text("keep")
+
+    refused = run("reconstruct", sweep, "--poses", "tracked", "-o", "out")
+    forced = run("reconstruct", sweep, "--poses", "tracked", "-o", "out", "--force")
+
+    assert refused.code == 1
+    assert "exists: choose another output or add --force" in refused.sentence
+    assert forced.code == 0
+    assert (folder / "mine.txt").read_text() == "keep"
+
+
+def test_interrupted_leaves_nothing(sweep, tmp_path):
+    """Ctrl-C half-way ends with 130, one sentence, and no folder."""
+    words = ["reconstruct", str(sweep), "-o", "out", "--voxel-mm", "0.02"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sonosweep", *words],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    first = process.stderr.readline()  # it says what it does: it is at work
+    time.sleep(0.1)
+
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+
+    assert first
+    assert process.returncode == 130
+    assert error.strip().splitlines()[-1].startswith("sonosweep: interrupted")
+    assert "Traceback" not in error
+    assert {path.name for path in tmp_path.iterdir()} == {"speckle.h5"}
+
+
+def test_several_scans_get_a_folder_each(run, sweep, tmp_path):
+    """Two sweeps, two folders."""
+    other = tmp_path / "other.h5"
+    other.write_bytes(sweep.read_bytes())
+
+    ran = run("reconstruct", sweep, other, "--poses", "tracked", "-o", "both")
+
+    assert ran.code == 0, ran.error
+    assert {path.name for path in (tmp_path / "both").iterdir()} == {"speckle", "other"}
+    assert ran.out.count("\n") == 2
+
+
+@pytest.mark.parametrize("ending", ["mha", "nii.gz"])
+def test_other_volume_formats_hold_the_same_voxels(run, sweep, tmp_path, ending):
+    """The format changes the file, not the volume."""
+    for out, form in (("a", "nrrd"), ("b", ending)):
+        ran = run("reconstruct", sweep, "--poses", "tracked", "-o", out, "--volume-format", form)
+        assert ran.code == 0, ran.error
+
+    first, second = (
+        read_volume(tmp_path / "a" / "volume.nrrd"),
+        read_volume(tmp_path / "b" / f"volume.{ending}"),
+    )
+
+    assert np.array_equal(first.voxels, second.voxels)
+    assert np.allclose(first.grid.origin_mm, second.grid.origin_mm, atol=1e-5)
