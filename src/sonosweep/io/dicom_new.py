@@ -1,7 +1,6 @@
 """A new DICOM header that names nobody: no patient, no date, no institution, new UIDs."""
 
 import io
-import warnings
 
 from pydicom import Dataset, FileMetaDataset, dcmwrite
 from pydicom.uid import ExplicitVRLittleEndian, generate_uid
@@ -79,9 +78,5 @@ def dicom_bytes(header: Dataset) -> bytes:
     Written to memory first, because pydicom buries a full disk in a traceback of text.
     """
     stream = io.BytesIO()
-    with warnings.catch_warnings():
-        # Lists past 64 kB, as of 8000 uneven frame times, need another length field, which
-        # pydicom mentions and writes as the standard tells it to.
-        warnings.simplefilter("ignore", UserWarning)
-        dcmwrite(stream, header, enforce_file_format=True)
+    dcmwrite(stream, header, enforce_file_format=True)
     return stream.getvalue()

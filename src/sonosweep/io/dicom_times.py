@@ -19,6 +19,7 @@ from sonosweep.errors import FormatError
 FRAME_TIME, FRAME_TIME_VECTOR = 0x00181063, 0x00181065
 MS_PER_S = 1000.0
 SAME_INTERVAL_S = 1e-6
+LONGEST_LIST = 65534  # a list of decimals states its length in 16 bits
 
 FrameTimes = tuple[Float[Tensor, " frames"] | None, str]
 """Times of the frames, and what to know about them."""
@@ -35,7 +36,7 @@ def read_frame_times(header: Dataset, frames: int, path: str | PathLike) -> Fram
     pointer = header.get("FrameIncrementPointer")
     vector = header.get("FrameTimeVector")
     if vector is not None and pointer != FRAME_TIME:
-        return _from_vector(np.atleast_1d(np.asarray(vector, dtype=np.float64)), frames, path)
+        return _from_vector(_decimals(vector), frames, path)
     interval_ms = _positive(header.get("FrameTime"))
     if interval_ms:
         return _evenly(frames, interval_ms / MS_PER_S), ""
@@ -53,6 +54,13 @@ def read_frame_times(header: Dataset, frames: int, path: str | PathLike) -> Fram
 def _positive(value: object) -> float | None:
     number = float(str(value)) if value not in (None, "") else 0.0
     return number if np.isfinite(number) and number > 0 else None
+
+
+def _decimals(value: object) -> np.ndarray:
+    """Return the numbers of a list; past 64 kB pydicom leaves it as the bytes of its text."""
+    if isinstance(value, bytes):
+        value = value.decode("ascii").rstrip("\0 ").split("\\")
+    return np.atleast_1d(np.asarray(value, dtype=np.float64))
 
 
 def _evenly(frames: int, interval_s: float) -> Float[Tensor, " frames"]:
@@ -112,4 +120,10 @@ def state_frame_times(header: Dataset, timestamps_s: Float[Tensor, " frames"] | 
     header.FrameIncrementPointer = FRAME_TIME_VECTOR
     # Rounding the times and not their differences keeps errors from adding up.
     rounded = np.round(times_s * MS_PER_S, 4)
-    header.FrameTimeVector = [f"{t:.4f}" for t in np.diff(rounded, prepend=0.0)]
+    intervals = [f"{t:.4f}" for t in np.diff(rounded, prepend=0.0)]
+    text = "\\".join(intervals)
+    if len(text) <= LONGEST_LIST:
+        header.FrameTimeVector = intervals
+    else:
+        # The standard's way out (PS3.5, 6.2.2): type unknown, which has a long length.
+        header.add_new(FRAME_TIME_VECTOR, "UN", (text + " " * (len(text) % 2)).encode("ascii"))
