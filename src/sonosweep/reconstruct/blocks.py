@@ -3,16 +3,16 @@
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import numpy as np
 
 from sonosweep.errors import ScanError
-from sonosweep.estimators.estimator import Progress
 from sonosweep.scan import Frames
 
 SUPPORTED = ("uint8", "uint16", "int16", "float32", "float64")
-BLOCK_BYTES = 2**22
-"""A block of frames stays in the cache that the cores share."""
+BLOCK_BYTES = 2**21
+"""Pixels of a block: few enough to stay in a cache, enough to be worth a round of threads."""
 
 
 def check_frames(frames: Frames) -> None:
@@ -21,15 +21,24 @@ def check_frames(frames: Frames) -> None:
     Raises:
         ScanError: If the pixel type is not supported, or there is no pixel.
     """
-    if np.dtype(frames.dtype).name not in SUPPORTED:
-        raise ScanError(
-            f"frames of type {np.dtype(frames.dtype).name} cannot be compounded: convert them to"
-            f" one of {', '.join(SUPPORTED)}"
-        )
+    check_dtype(frames.dtype)
     if len(frames.shape) not in (3, 4) or min(frames.shape[1:]) < 1:
         raise ScanError(
             "frames must have frames, rows and columns, and perhaps channels, got shape"
             f" {tuple(frames.shape)}"
+        )
+
+
+def check_dtype(dtype: np.dtype) -> None:
+    """Refuse pixels of another type than those supported.
+
+    Raises:
+        ScanError: Which names them.
+    """
+    if np.dtype(dtype).name not in SUPPORTED:
+        raise ScanError(
+            f"frames of type {np.dtype(dtype).name} cannot be compounded: convert them to one of"
+            f" {', '.join(SUPPORTED)}"
         )
 
 
@@ -54,38 +63,36 @@ def thread_count(threads: int | None) -> int:
     return threads
 
 
-def read_blocks(frames: Frames) -> Iterator[tuple[int, np.ndarray]]:
-    """Give (first frame, pixels) for consecutive frames, about 4 MB at a time."""
+def block_ranges(frames: Frames) -> list[slice]:
+    """Return the frames of each block, about 2 MB of pixels."""
     frame_bytes = int(np.prod(frames.shape[1:])) * np.dtype(frames.dtype).itemsize
     step = int(np.clip(BLOCK_BYTES // frame_bytes, 1, 64))
-    for first in range(0, len(frames), step):
-        yield first, contiguous(np.asarray(frames[first : first + step]))
+    return [slice(k, min(k + step, len(frames))) for k in range(0, len(frames), step)]
 
 
-def work_through(
-    frames: Frames,
-    work: Callable[[int, np.ndarray, int], None],
-    parts: int,
-    threads: int,
-    progress: Progress | None = None,
-) -> None:
-    """Call ``work(first_frame, pixels, part)`` for every block of frames and every part.
+def read_blocks(frames: Frames) -> Iterator[tuple[slice, np.ndarray]]:
+    """Give (frames, pixels) block by block, reading one ahead."""
+    ranges = block_ranges(frames)
+    with ThreadPoolExecutor(1) as reader:
+        following = reader.submit(_read, frames, ranges[0])
+        for k, block in enumerate(ranges):
+            pixels = following.result()
+            if k + 1 < len(ranges):
+                following = reader.submit(_read, frames, ranges[k + 1])
+            yield block, pixels
 
-    Parts of one block run at the same time; the next block is read meanwhile and waits
-    until all are done, so each part sees the frames in order.
-    """
-    total = len(frames)
-    with ThreadPoolExecutor(threads) as pool:
-        running: list = []
-        done = 0
-        for first, pixels in read_blocks(frames):
-            for task in running:
-                task.result()
-            if progress is not None and done:
-                progress(done, total)
-            running = [pool.submit(work, first, pixels, part) for part in range(parts)]
-            done = first + len(pixels)
-        for task in running:
-            task.result()
-    if progress is not None:
-        progress(total, total)
+
+def _read(frames: Frames, block: slice) -> np.ndarray:
+    return contiguous(np.asarray(frames[block]))
+
+
+Result = TypeVar("Result")
+
+
+def in_turns(
+    work: Callable[[int], Result], turns: int, pool: ThreadPoolExecutor | None
+) -> list[Result]:
+    """Call ``work(turn)`` for every turn at the same time; wait for all."""
+    if turns == 1 or pool is None:
+        return [work(turn) for turn in range(turns)]
+    return list(pool.map(work, range(turns)))

@@ -11,6 +11,7 @@ from sonosweep.estimators.estimator import Progress
 from sonosweep.reconstruct.clip import Fan, pixel_mask
 from sonosweep.reconstruct.fill import FillMethod, fill_holes
 from sonosweep.reconstruct.forward import Compounding, Interpolation, compound_forward
+from sonosweep.reconstruct.retire import compound_gather
 from sonosweep.scan import Frames, FrameView, Volume, VolumeGrid
 
 Method = Literal["gather", "forward"]
@@ -79,19 +80,41 @@ def compound_frames(
     if skip > 1:
         frames = FrameView(frames, indices=np.arange(0, len(frames), skip))
         image_to_reference = image_to_reference[::skip]
+        confidence = None if confidence is None else confidence[::skip]
     clipped = rectangle_px is not None or fan is not None or mask is not None
     rows, columns = frames.shape[1:3]
     kept = pixel_mask(rows, columns, rectangle_px, fan, mask) if clipped else None
-    volume = compound_forward(
-        frames,
-        image_to_reference,
-        pixel_to_image,
-        grid,
-        interpolation=interpolation,
-        compounding=compounding,
-        mask=kept,
-        reject_below=reject_below,
-        threads=threads,
-        progress=progress,
-    )
+    if method == "gather":
+        if compounding != "mean":
+            raise ScanError(
+                f"gather compounding takes means, not '{compounding}': choose the forward method"
+            )
+        volume = compound_gather(
+            frames,
+            image_to_reference,
+            pixel_to_image,
+            grid,
+            radius_mm=radius_mm,
+            prefilter=prefilter,
+            mask=kept,
+            reject_below=reject_below,
+            confidence=confidence,
+            threads=threads,
+            progress=progress,
+        )
+    else:
+        if confidence is not None:
+            raise ScanError("only gather compounding weighs frames by confidence")
+        volume = compound_forward(
+            frames,
+            image_to_reference,
+            pixel_to_image,
+            grid,
+            interpolation=interpolation,
+            compounding=compounding,
+            mask=kept,
+            reject_below=reject_below,
+            threads=threads,
+            progress=progress,
+        )
     return volume if fill is None else fill_holes(volume, fill, fill_mm, threads)

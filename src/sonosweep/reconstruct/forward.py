@@ -26,7 +26,7 @@ from sonosweep.reconstruct.accumulators import (
     Replacing,
     SumMean,
 )
-from sonosweep.reconstruct.blocks import check_frames, thread_count, work_through
+from sonosweep.reconstruct.blocks import check_frames, in_turns, read_blocks, thread_count
 from sonosweep.reconstruct.clip import pixel_runs
 from sonosweep.reconstruct.grid import check_memory, check_poses, pixel_to_voxel
 from sonosweep.reconstruct.median import compound_median
@@ -99,12 +99,16 @@ def compound_forward(
         slabs = split_grid(grid, transforms, threads)
         parts = [_accumulator(slab, insertion, compounding) for slab in slabs]
 
-        def add(first: int, pixels: np.ndarray, part: int) -> None:
-            parts[part].add(pixels, transforms[first : first + len(pixels)], *runs)
-
-        work_through(frames, add, len(parts), threads, progress)
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda part: part.finish(voxels, coverage), parts))
+            for block, pixels in read_blocks(frames):
+
+                def add(part: int, block: slice = block, pixels: np.ndarray = pixels) -> None:
+                    parts[part].add(pixels, transforms[block], *runs)
+
+                in_turns(add, len(parts), pool)
+                if progress is not None:
+                    progress(block.stop, len(frames))
+            in_turns(lambda part: parts[part].finish(voxels, coverage), len(parts), pool)
     if not coverage.any():
         raise ScanError("no pixel of the sweep falls into the grid: check its origin and the poses")
     return Volume(

@@ -86,22 +86,6 @@ def pixel_to_voxel(
     return np.ascontiguousarray(matrix[:, :3, [0, 1, 3]].numpy())
 
 
-def voxel_to_plane(
-    image_to_reference: Float[Tensor, "frames 4 4"],
-    pixel_to_image: Float[Tensor, "4 4"],
-    grid: VolumeGrid,
-) -> Float[np.ndarray, "frames 3 4"]:
-    """Return per frame the matrix from voxel (x, y, z, 1) to (column, row, height mm).
-
-    The height is the distance from the plane of the frame, along image z.
-    """
-    in_plane = pixel_to_image.to(torch.float64).clone()
-    in_plane[:3, 2] = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-    plane_to_reference = image_to_reference.to(torch.float64) @ in_plane
-    matrix = torch.linalg.inv(plane_to_reference) @ voxel_to_reference(grid)
-    return np.ascontiguousarray(matrix[:, :3].numpy())
-
-
 def check_poses(image_to_reference: Float[Tensor, "frames 4 4"]) -> None:
     """Refuse a sweep without frames, or with a pose that is not finite.
 

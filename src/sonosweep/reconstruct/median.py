@@ -100,10 +100,10 @@ def _last_samples(
 ) -> np.ndarray:
     """One past the last sample of each voxel when samples are stored voxel by voxel."""
     count = np.zeros(int(np.prod(slab.shape())), np.int64)
-    for first, pixels in read_blocks(frames):
+    for block, pixels in read_blocks(frames):
         kernels.nearest_count(
             pixels.reshape(*pixels.shape[:3], -1),
-            transforms[first : first + len(pixels)],
+            transforms[block],
             *runs,
             insertion.reject_below,
             *slab.edges,
@@ -123,10 +123,10 @@ def _collect(
     """Samples ``(channels, samples)``, those of a voxel side by side."""
     samples = np.empty((insertion.channels, int(stop[-1])), insertion.dtype)
     following = np.concatenate(([0], stop[:-1]))
-    for first, pixels in read_blocks(frames):
+    for block, pixels in read_blocks(frames):
         kernels.nearest_collect(
             pixels.reshape(*pixels.shape[:3], -1),
-            transforms[first : first + len(pixels)],
+            transforms[block],
             *runs,
             insertion.reject_below,
             *slab.edges,
