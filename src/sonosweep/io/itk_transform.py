@@ -87,11 +87,11 @@ def read_itk_transforms(path: str | os.PathLike, world: World = "ras") -> Trajec
             raise FormatError(f"'{path}' holds no transform")
         matrices = torch.from_numpy(np.stack([entry.matrix for entry in entries]))
         times = [entry.time_s for entry in entries]
-        known = [time for time in times if time is not None]
+        known = torch.tensor([t for t in times if t is not None], dtype=torch.float64)
         poses = invert_pose(_turned(matrices, stated_world(told, world)))
         return Trajectory(
             image_to_reference=poses,
-            timestamps_s=torch.tensor(known).double() if len(known) == len(times) else None,
+            timestamps_s=known if len(known) == len(times) else None,
         )
 
 
