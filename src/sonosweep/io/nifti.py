@@ -8,6 +8,7 @@ numbers are float32, which is 0.01 um at 100 mm.
 import gzip
 import io
 import json
+import logging
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -31,6 +32,8 @@ VECTOR = 1007  # NIFTI_INTENT_VECTOR: the fifth axis holds the channels
 LARGEST_AXIS = 32767
 COMPRESSION_LEVEL = 1  # several times faster than more, for files nearly as small
 LARGEST_HEADER_BYTES = 1 << 20
+# nibabel prints each oddity of a header; what matters it raises as well.
+SILENT = logging.Logger("headers of others", level=logging.CRITICAL)
 MM_PER_UNIT = {"meter": 1e3, "micron": 1e-3}
 
 
@@ -124,7 +127,8 @@ def _read_header(stream: Readable, path: str | PathLike) -> Any:
     kind = next((kinds[length] for length in lengths if length in kinds), None)
     if kind is None:
         raise FormatError(f"'{path}' is no NIfTI volume: its first number is not 348 or 540")
-    header = kind.from_fileobj(io.BytesIO(start))
+    header = kind.from_fileobj(io.BytesIO(start), check=False)
+    header.check_fix(logger=SILENT)
     if not header["magic"].item().startswith(b"n+"):
         raise FormatError(f"'{path}' is a header without its image: give the .nii file")
     return header
