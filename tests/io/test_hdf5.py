@@ -146,7 +146,7 @@ def test_opening_a_scan_of_4_gb_needs_little_memory(tmp_path):
     """Only the frames that are looked at are read."""
     path = tmp_path / "long.h5"
     with h5py.File(path, "w") as file:
-        file.attrs["format"], file.attrs["format_version"] = "sonosweep scan", 1
+        file.attrs["format"], file.attrs["format_version"] = np.bytes_("sonosweep scan"), 1
         shape = (4096, 1024, 1024)
         file.create_dataset("frames", shape, np.uint8, chunks=(1, 1024, 1024))
 
@@ -224,7 +224,7 @@ def test_a_file_that_contradicts_itself_is_refused(tmp_path, parts, message):
 def test_absurd_sizes_are_refused_before_anything_is_read(tmp_path, shape, chunks, message):
     """HDF5 can state terabytes in a file of some kB."""
     with h5py.File(tmp_path / "scan.h5", "w") as file:
-        file.attrs["format"], file.attrs["format_version"] = "sonosweep scan", 1
+        file.attrs["format"], file.attrs["format_version"] = np.bytes_("sonosweep scan"), 1
         file.create_dataset("frames", shape, np.uint8, chunks=chunks)
 
     with pytest.raises(FormatError, match=message):
@@ -239,7 +239,7 @@ def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path):
         write_scan(Scan(name="empty", frames=np.zeros((0, 2, 2))), tmp_path / "scan.h5")
     with pytest.raises(FormatError, match="cannot be named 'a/b'"):
         write_scan(nameless, tmp_path / "scan.h5")
-    with pytest.raises(FormatError, match="cannot write"):
+    with pytest.raises(FormatError, match="zero byte"):
         write_scan(replace(full_scan(), name="a\0b"), tmp_path / "scan.h5")
 
     assert list(tmp_path.iterdir()) == []

@@ -189,7 +189,7 @@ def test_a_small_pixel_is_the_mean_of_sixteen(tmp_path):
     np.testing.assert_allclose(landed, by_hand[:3], atol=ROUND_OFF_MM, rtol=0)
     assert scan.frames[-1].tolist() == np.full((6, 8), 2).tolist()
     assert scan.frames[0:2].shape == (2, 6, 8)
-    assert (scan.subject, scan.frames.dtype) == ("007", np.uint8)
+    assert (scan.subject, scan.frames.dtype) == ("sub000", np.uint8)
     assert is_zenodo7740734_h5(tmp_path / "frames_res4.h5")
     with pytest.raises(IndexError):
         scan.frames[3]

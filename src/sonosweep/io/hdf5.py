@@ -16,7 +16,8 @@
 ``notes``                JSON text: what the reader of the original file found, by subject
 ======================== ==================================================================
 
-All but ``frames`` and the first two attributes may be absent. Coordinates are those of
+All but ``frames`` and the first two attributes may be absent. Text has a fixed length and is
+UTF-8. Coordinates are those of
 :mod:`sonosweep.scan`. Frames are not compressed unless asked: speckle saves about 10 %.
 """
 
@@ -41,6 +42,8 @@ from sonosweep.io.hdf5_access import (
     get_dataset,
     open_hdf5,
     read_array,
+    read_number_attribute,
+    read_text_attribute,
 )
 from sonosweep.scan import Calibration, Companion, Frames, Region, Scan
 
@@ -55,7 +58,7 @@ def is_scan_hdf5(path: str | os.PathLike) -> bool:
     """Say whether a file is one of ours, of any version."""
     try:
         with open_hdf5(path) as file:
-            return _text(file.attrs, "format") == FORMAT_NAME
+            return read_text_attribute(file, "format") == FORMAT_NAME
     except SonosweepError:
         return False
 
@@ -101,8 +104,8 @@ def read_scan(path: str | os.PathLike) -> Scan:
         poses = _optional(file, "image_to_reference", (None, 4, 4), count)
         tracked = _optional(file, "tracked", (None,), count)
         parts = {
-            "name": _text(file.attrs, "name") or Path(path).stem,
-            "subject": _text(file.attrs, "subject"),
+            "name": read_text_attribute(file, "name") or Path(path).stem,
+            "subject": read_text_attribute(file, "subject"),
             "calibration": _read_calibration(file),
             "region": _read_region(file, frames.shape),
             "companions": _read_companions(file),
@@ -120,12 +123,12 @@ def read_scan(path: str | os.PathLike) -> Scan:
 def _write_parts(
     file: h5py.File, scan: Scan, compression: Compression | None, sink: DiskSink
 ) -> None:
-    file.attrs["format"] = FORMAT_NAME
+    _set_text(file, "format", FORMAT_NAME)
     file.attrs["format_version"] = FORMAT_VERSION
-    file.attrs["written_by"] = f"sonosweep {version('sonosweep')}"
-    file.attrs["name"] = scan.name
+    _set_text(file, "written_by", f"sonosweep {version('sonosweep')}")
+    _set_text(file, "name", scan.name)
     if scan.subject is not None:
-        file.attrs["subject"] = scan.subject
+        _set_text(file, "subject", scan.subject)
     _write_frames(file, scan.frames, compression, sink)
     for name in ("timestamps_s", "image_to_reference", "tracked"):
         values = getattr(scan, name)
@@ -146,7 +149,7 @@ def _write_parts(
         group.attrs["origin_mm"] = companion.origin_mm
         _write_frames(group, companion.frames, compression, sink)
     if scan.notes:
-        file["notes"] = json.dumps(dict(scan.notes))
+        file["notes"] = _fixed(json.dumps(dict(scan.notes)))
 
 
 def _write_frames(
@@ -162,20 +165,21 @@ def _write_frames(
 
 
 def _write_calibration(group: h5py.Group, calibration: Calibration) -> None:
-    for name in ("spacing_mm", "shear", "latency_s", "pixel_axes", "pixel_origin"):
+    for name in ("spacing_mm", "shear", "latency_s", "pixel_origin"):
         group.attrs[name] = getattr(calibration, name)
+    _set_text(group, "pixel_axes", calibration.pixel_axes)
     if calibration.image_to_probe is not None:
         group["image_to_probe"] = calibration.image_to_probe.numpy()
 
 
 def _check_version(file: h5py.File, name: str) -> None:
-    if _text(file.attrs, "format") != FORMAT_NAME:
+    if read_text_attribute(file, "format") != FORMAT_NAME:
         known = ", ".join(list(file)[:12]) or "nothing"
         raise FormatError(f"'{name}' is not a sonosweep scan file; it holds {known}")
-    found = int(file.attrs["format_version"])
+    found = read_number_attribute(file, "format_version", 1)[0]
     if found > FORMAT_VERSION:
         raise FormatError(
-            f"'{name}' is of format version {found}, but this sonosweep reads up to"
+            f"'{name}' is of format version {found:g}, but this sonosweep reads up to"
             f" {FORMAT_VERSION}: update sonosweep"
         )
 
@@ -191,19 +195,22 @@ def _read_calibration(file: h5py.File) -> Calibration | None:
     if "calibration" not in file:
         return None
     group = file["calibration"]
-    axes, origin = _text(group.attrs, "pixel_axes"), int(group.attrs["pixel_origin"])
+    axes, origin = (
+        read_text_attribute(group, "pixel_axes"),
+        read_number_attribute(group, "pixel_origin", 1)[0],
+    )
     if axes not in ("column_row", "row_column") or origin not in (0, 1):
         raise FormatError(
             f"pixels must be counted (column_row or row_column) from 0 or 1, not ({axes}) from"
             f" {origin}, in '{Path(file.filename).name}'"
         )
     return Calibration(
-        spacing_mm=_pair(group.attrs["spacing_mm"]),
-        shear=float(group.attrs["shear"]),
+        spacing_mm=_pair(group, "spacing_mm"),
+        shear=read_number_attribute(group, "shear", 1)[0],
         image_to_probe=_optional(group, "image_to_probe", (4, 4)),
-        latency_s=float(group.attrs["latency_s"]),
+        latency_s=read_number_attribute(group, "latency_s", 1)[0],
         pixel_axes=axes,  # type: ignore[arg-type]
-        pixel_origin=origin,  # type: ignore[arg-type]
+        pixel_origin=int(origin),  # type: ignore[arg-type]
     )
 
 
@@ -211,7 +218,9 @@ def _read_region(file: h5py.File, shape: tuple[int, ...]) -> Region | None:
     if "region" not in file:
         return None
     group = file["region"]
-    column, row, width, height = (int(value) for value in group.attrs["rectangle_px"])
+    column, row, width, height = (
+        int(value) for value in read_number_attribute(group, "rectangle_px", 4)
+    )
     mask = read_array(group, "mask", shape[1:3]) != 0 if "mask" in group else None
     return Region((column, row, width, height), mask)
 
@@ -220,8 +229,8 @@ def _read_companions(file: h5py.File) -> dict[str, Companion]:
     return {
         str(name): Companion(
             frames=frames_from_dataset(get_dataset(group, "frames")),
-            spacing_mm=_pair(group.attrs["spacing_mm"]),
-            origin_mm=_pair(group.attrs["origin_mm"]),
+            spacing_mm=_pair(group, "spacing_mm"),
+            origin_mm=_pair(group, "origin_mm"),
         )
         for name, group in file.get("companions", {}).items()
     }
@@ -230,17 +239,26 @@ def _read_companions(file: h5py.File) -> dict[str, Companion]:
 def _read_notes(file: h5py.File) -> dict[str, str]:
     if "notes" not in file:
         return {}
-    text = file["notes"][()]
-    if not isinstance(text, bytes | str) or len(text) > LARGEST_NOTES_BYTES:
+    dataset = file["notes"]
+    is_text = isinstance(dataset, h5py.Dataset) and dataset.dtype.kind == "S"
+    if not is_text or dataset.shape != () or dataset.dtype.itemsize > LARGEST_NOTES_BYTES:
         raise FormatError(f"the notes of '{Path(file.filename).name}' are not a short text")
+    text = bytes(dataset[()])
     return {str(subject): str(note) for subject, note in json.loads(text).items()}
 
 
-def _text(attributes: h5py.AttributeManager, name: str) -> str | None:
-    value = attributes.get(name)
-    return value if isinstance(value, str) else None
-
-
-def _pair(values: np.ndarray) -> tuple[float, float]:
-    first, second = (float(value) for value in values)
+def _pair(group: h5py.Group, name: str) -> tuple[float, float]:
+    first, second = read_number_attribute(group, name, 2)
     return first, second
+
+
+def _set_text(group: h5py.Group, name: str, text: str) -> None:
+    group.attrs[name] = _fixed(text)
+
+
+def _fixed(text: str) -> np.ndarray:
+    """Return text of a fixed length, see :func:`read_text_attribute`."""
+    encoded = text.encode("utf-8")
+    if b"\0" in encoded:
+        raise FormatError(f"a text with a zero byte cannot be stored: {text[:40]!r}")
+    return np.array(encoded, h5py.string_dtype("utf-8", max(len(encoded), 1)))

@@ -115,6 +115,37 @@ def read_array(
     return np.asarray(dataset[()]).astype(np.float64)
 
 
+def read_text_attribute(node: h5py.HLObject, name: str) -> str | None:
+    """Return an attribute that holds text of a fixed length, ``None`` for any other.
+
+    Text of variable length is not read: where the file is damaged, HDF5 follows its
+    address to anywhere in memory and the process dies.
+    """
+    if name not in node.attrs:
+        return None
+    attribute = node.attrs.get_id(name)
+    if attribute.dtype.kind != "S" or attribute.shape != ():
+        return None
+    return bytes(np.asarray(node.attrs[name])[()]).decode("utf-8")
+
+
+def read_number_attribute(node: h5py.HLObject, name: str, count: int) -> list[float]:
+    """Return an attribute that holds so many numbers.
+
+    Raises:
+        FormatError: If there is none, or it holds something else.
+    """
+    file = Path(node.file.filename).name
+    if name not in node.attrs:
+        raise FormatError(f"'{node.name}' in '{file}' has no attribute '{name}'")
+    attribute = node.attrs.get_id(name)
+    if attribute.dtype.kind not in "buif" or np.prod(attribute.shape, dtype=float) != count:
+        raise FormatError(
+            f"attribute '{name}' of '{node.name}' in '{file}' must be {count} numbers"
+        )
+    return [float(value) for value in np.ravel(node.attrs[name])]
+
+
 class HDF5Frames:
     """Frames of an HDF5 data set, read when indexed; can be pickled and used after a fork.
 

@@ -1,7 +1,7 @@
 """The arrays inside a MATLAB file, listed without reading them.
 
-Files saved with ``-v7.3`` are HDF5, with MATLAB's axes in reverse and structs as groups.
-Older ones (version 5 and 4) are read by SciPy, their structs by pymatreader.
+Files saved with ``-v7.3`` are HDF5, with MATLAB's axes in reverse and structs as groups;
+for older ones see :mod:`sonosweep.io.matlab_v5`.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,8 +11,6 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import pymatreader
-import scipy.io
 
 from sonosweep.errors import FormatError, SonosweepError
 from sonosweep.io.hdf5_access import (
@@ -20,13 +18,20 @@ from sonosweep.io.hdf5_access import (
     first_line,
     frames_from_dataset,
     open_hdf5,
+    read_text_attribute,
 )
 from sonosweep.io.lazy_index import read_indexed
+from sonosweep.io.matlab_v5 import (
+    LARGEST_ELEMENT_BYTES,
+    OldArray,
+    OldFile,
+    open_old,
+    parse_array,
+    read_fields,
+    read_numbers,
+)
 from sonosweep.scan import Frames
 
-INTEGERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
-NUMERIC = ("double", "single", "logical", *INTEGERS)
-LARGEST_OLD_BYTES = 2**32  # variables of older files end at 2 GiB; double that for structs
 DEPTH = 4  # structs in structs
 
 
@@ -52,24 +57,22 @@ class LoadOld:
     """Reads one variable of an older file; an object, so that frames can be pickled.
 
     Attributes:
-        path: The file.
-        name: The variable, with dots for the fields of structs.
+        file: The file.
+        place: Where in the file the variable is.
+        fields: Which field of it, if it is a struct.
     """
 
-    path: Path
-    name: str
+    file: OldFile
+    place: int
+    fields: tuple[str, ...] = ()
 
     def __call__(self) -> np.ndarray:
         """Return the variable as MATLAB shows it."""
-        top, *fields = self.name.split(".")
-        with explaining(self.path):
-            if not fields:
-                loaded = scipy.io.loadmat(self.path, variable_names=[top])[top]
-                return np.asarray(loaded)
-            value = pymatreader.read_mat(self.path, variable_names=[top])[top]
-            for field in fields:
-                value = value[field]
-            return np.asarray(value)
+        with explaining(self.file.path):
+            order, element = self.file.order, self.file.body(self.place)
+            for field in self.fields:
+                element = dict(read_fields(element, parse_array(element, order), order))[field]
+            return read_numbers(element, parse_array(element, order), order)
 
 
 class LoadedFrames:
@@ -111,8 +114,6 @@ class LoadedFrames:
     def _read(self, frame: int) -> np.ndarray:
         if self._array is None:
             array = self._load()
-            if np.iscomplexobj(array) or array.dtype.kind not in "buif":
-                raise FormatError(f"the frames of '{self._path.name}' are no real numbers")
             if array.shape[-1] != len(self):
                 raise FormatError(f"'{self._path.name}' changed after it was opened: open it again")
             self._array = array
@@ -120,52 +121,44 @@ class LoadedFrames:
         return np.ascontiguousarray(pixels, dtype=self._dtype)
 
 
-def list_old(file: Path, wanted: str | None) -> dict[str, Variable]:
-    """Return the variables of an older file; fields only of the struct that was asked for."""
-    with explaining(file):
-        listed = scipy.io.whosmat(file)
-    variables = {
-        str(name): _old_variable(file, str(name), tuple(map(int, shape)), str(kind))
-        for name, shape, kind in listed
-    }
-    if wanted is None or "." not in wanted or wanted.split(".")[0] not in variables:
-        return variables
-    if file.stat().st_size > LARGEST_OLD_BYTES:
-        raise FormatError(f"'{file.name}' is too large to look into its structs: save it as -v7.3")
-    top = wanted.split(".")[0]
-    with explaining(file):
-        struct = pymatreader.read_mat(file, variable_names=[top])[top]
-    for name, value in _walk(struct, top, DEPTH):
-        array = np.asarray(value)
-        variables[name] = _old_variable(file, name, array.shape, array.dtype.name, array.dtype)
+def list_old(path: Path, wanted: str | None) -> dict[str, Variable]:
+    """Return the variables of an older file; fields only of the struct that is asked for."""
+    variables: dict[str, Variable] = {}
+    with explaining(path):
+        file = open_old(path.absolute())
+        for array, place in file.variables():
+            variables[array.name] = _old_variable(array, LoadOld(file, place))
+            if wanted is not None and wanted.startswith(f"{array.name}."):
+                fields = _walk(file.body(place), file.order, (), DEPTH)
+                for names, field in fields:
+                    name = ".".join((array.name, *names))
+                    variables[name] = _old_variable(field, LoadOld(file, place, names))
     return variables
 
 
-def _walk(value: object, name: str, depth: int) -> Iterator[tuple[str, object]]:
-    """Give the arrays of nested structs with dotted names."""
-    if isinstance(value, dict) and depth:
-        for field, inner in value.items():
-            yield from _walk(inner, f"{name}.{field}", depth - 1)
-    elif isinstance(value, np.ndarray | float | int):
-        yield name, value
+def _walk(
+    element: bytes, order: str, names: tuple[str, ...], depth: int
+) -> Iterator[tuple[tuple[str, ...], OldArray]]:
+    """Give the arrays of nested structs and the names that lead to them."""
+    for name, inner in read_fields(element, parse_array(element, order), order):
+        array = parse_array(inner, order)
+        yield (*names, name), array
+        if depth:
+            yield from _walk(inner, order, (*names, name), depth - 1)
 
 
-def _old_variable(
-    file: Path, name: str, shape: tuple[int, ...], kind: str, dtype: np.dtype | None = None
-) -> Variable:
-    types = {"double": "float64", "single": "float32", "logical": "uint8"}
-    numeric = kind in NUMERIC or (dtype is not None and dtype.kind in "buif")
-    pixel = dtype if dtype is not None else np.dtype(types.get(kind, kind) if numeric else "u1")
-    load = LoadOld(file.absolute(), name)
+def _old_variable(array: OldArray, load: LoadOld) -> Variable:
+    shape, dtype = array.shape, array.dtype
 
     def frames() -> Frames:
-        if np.prod(shape, dtype=float) * pixel.itemsize > LARGEST_OLD_BYTES:
-            raise FormatError(f"'{name}' in '{file.name}' is too large: save it as -v7.3")
-        rest = () if len(shape) == 3 or shape[2] == 1 else (shape[2],)
-        whole = (shape[-1], shape[0], shape[1], *rest)
-        return LoadedFrames(file.absolute(), whole, pixel.newbyteorder("="), load)
+        assert dtype is not None  # only numbers are taken for frames
+        if np.prod(shape, dtype=float) * dtype.itemsize > LARGEST_ELEMENT_BYTES:
+            raise FormatError(f"'{load.file.path.name}' is damaged: {array.name} is too large")
+        channels = () if len(shape) == 3 or shape[2] == 1 else (shape[2],)
+        whole = (shape[-1], shape[0], shape[1], *channels)
+        return LoadedFrames(load.file.path, whole, dtype, load)
 
-    return Variable(shape, numeric, load, frames)
+    return Variable(shape, dtype is not None, load, frames)
 
 
 def list_new(file: Path) -> dict[str, Variable]:
@@ -189,8 +182,7 @@ def _list_group(
 
 def _new_variable(file: Path, dataset: h5py.Dataset) -> Variable:
     where = dataset.name
-    kind = dataset.attrs.get("MATLAB_class", b"double")
-    is_text = kind in (b"char", "char")
+    is_text = read_text_attribute(dataset, "MATLAB_class") == "char"
 
     def load() -> np.ndarray:
         with open_hdf5(file) as opened:

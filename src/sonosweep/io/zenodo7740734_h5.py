@@ -3,7 +3,8 @@
 One file for all sweeps, frames at a quarter of the size: ``sub000_scan00_frame0000`` uint8
 (120, 160) and ``sub000_scan00_tform0000`` float32 (4, 4), probe to tracker, with
 ``num_frames`` (subjects, sweeps), ``sub_folders`` and ``frame_size``. Delay and status of
-the tracker are already dealt with.
+the tracker are already dealt with. A subject's code is its number in this file, which need not
+be the number of its folder.
 
 Differs:
     That code places a pixel of the small images at 4 times its index. They were made by
@@ -70,7 +71,6 @@ def read_zenodo7740734_h5(
     with open_hdf5(path) as file:
         count = _count_frames(file, subject, sweep)
         frames = _open_frames(file, f"{prefix}_frame", count)
-        folders = file["sub_folders"].asstr()[:]
         tforms = [read_array(file, f"{prefix}_tform{i:04d}", (4, 4)) for i in range(count)]
     poses = None
     if small is not None:
@@ -80,7 +80,7 @@ def read_zenodo7740734_h5(
         frames=frames,
         calibration=small,
         image_to_reference=poses,
-        subject=str(folders[subject]) if subject < len(folders) else f"{subject:03d}",
+        subject=f"sub{subject:03d}",
         notes={} if small else {"poses": f"not used: no {CALIBRATION_NAME} beside the file"},
     )
 
