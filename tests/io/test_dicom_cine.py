@@ -1,6 +1,8 @@
 """Ultrasound cine: pixels, size, time and privacy of what scanners write."""
 
 import io
+import resource
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -540,3 +542,20 @@ def test_plain_files_that_are_cut_are_refused_on_opening(tmp_path: Path, whole_f
         (tmp_path / "cut.dcm").write_bytes(plain[:length])
         with pytest.raises(FormatError):
             read_dicom_cine(tmp_path / "cut.dcm")
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, compressed: bool):
+    """When the disk ends in the middle of the frames, one sentence comes out and no file."""
+    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.getsignal(signal.SIGXFSZ)
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        with pytest.raises(FormatError) as caught:
+            write_dicom_cine(make_scan((20, 60, 60)), tmp_path / "c.dcm", compressed=compressed)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+    assert_one_sentence(caught.value)
+    assert list(tmp_path.iterdir()) == []
