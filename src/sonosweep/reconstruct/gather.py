@@ -87,6 +87,7 @@ class GatherCompounder:
         self._reject_below = reject_below
         self._threads = thread_count(threads)
         self._table = BrickTable(grid)
+        self._slots = np.arange(2**12, dtype=np.int32)  # a brick's number is its slot
         self._pool: Pool | None = None  # made when the first frame shows its direction
         self._order = np.arange(3)
         self._last_pose: Tensor | None = None
@@ -159,8 +160,8 @@ class GatherCompounder:
         voxels = np.zeros((*size, self._channels), self._dtype)
         coverage = np.zeros(size, np.uint8)
         if self._pool is not None:
-            slots = np.arange(len(self._table), dtype=np.int32)
             pool, bricks = self._pool, self._table.bricks
+            slots = self._slots[: len(bricks)]
             with ThreadPoolExecutor(self._threads) as workers:
                 in_turns(
                     lambda turn: pool.finish(
@@ -205,12 +206,15 @@ class GatherCompounder:
             block: np.ndarray, k: slice, threads: int, workers: ThreadPoolExecutor | None
         ) -> None:
             planes = planes_of_frames(poses[k], self._pixel_to_image)
-            part = self._sampling.contribution(planes, radii[k], weight[k], order)
-            slots = self._table.numbers(part.bricks)
-            pool.reserve(len(self._table))
+            part = self._sampling.contribution(planes, radii[k], weight[k], order, self._table)
+            bricks = self._table.bricks
+            pool.reserve(len(bricks))
+            if len(self._slots) < len(bricks):
+                self._slots = np.arange(2 * len(bricks), dtype=np.int32)
+            slots = self._slots
             self._halved += sum(
                 in_turns(
-                    lambda turn: pool.add(block, part, slots, (turn, threads), sign),
+                    lambda turn: pool.add(block, part, bricks, slots, (turn, threads), sign),
                     threads,
                     workers,
                 )

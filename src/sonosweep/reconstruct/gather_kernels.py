@@ -209,7 +209,21 @@ def _add_layer(words, sign, reject, lanes, totals, weights):
 @njit(cache=True, nogil=True)
 @no_type_check
 def gather_bytes(
-    frames, box, kept, fixed, peaks, first, bricks, slots, order, turn, sign, reject, used, pool
+    frames,
+    box,
+    kept,
+    fixed,
+    peaks,
+    first,
+    numbers,
+    bricks,
+    slot_of,
+    order,
+    turn,
+    sign,
+    reject,
+    used,
+    pool,
 ):
     """Add 8-bit frames to the bricks of one thread, or take them out.
 
@@ -220,9 +234,10 @@ def gather_bytes(
         fixed: Per frame, voxel (x, y, z, 1) to fixed-point (column, row, height); heights
             are in units of the radius, times the confidence.
         peaks: Per frame, weight in its plane, in fixed point.
-        first: Index of each frame's first brick, and the total.
-        bricks: Bricks (x, y, z) that the frames meet.
-        slots: Where each of them is in the pool.
+        first: Index of each frame's first brick in ``numbers``, and the total.
+        numbers: Bricks that the frames meet, by number.
+        bricks: Bricks (x, y, z) by number.
+        slot_of: Where each of them is in the pool, by number.
         order: Axes of the volume from the slowest in a brick to the fastest.
         turn: (this thread, number of threads).
         sign: 1 adds, -1 takes out.
@@ -253,10 +268,11 @@ def gather_bytes(
         peak = np.int32(peaks[f])
         middle, span = _fill_steps(fixed[f], mid, order[2], steps, lanes)
         for p in range(first[f], first[f + 1]):
-            if (bricks[p, slow] + bricks[p, mid]) % turn[1] != turn[0]:
+            brick = bricks[numbers[p]]
+            if (brick[slow] + brick[mid]) % turn[1] != turn[0]:
                 continue
-            slot = slots[p]
-            u, v, d = _corner(fixed[f], bricks[p])
+            slot = slot_of[numbers[p]]
+            u, v, d = _corner(fixed[f], brick)
             for layer in range(BRICK):
                 height = d + layer * steps[2, slow]
                 if abs(height + middle) > span + peak:
@@ -374,7 +390,21 @@ def _average_general(frame, box, padded):
 @njit(cache=True, nogil=True)
 @no_type_check
 def gather_general(
-    frames, box, kept, fixed, peaks, first, bricks, slots, order, turn, sign, reject, weight, total
+    frames,
+    box,
+    kept,
+    fixed,
+    peaks,
+    first,
+    numbers,
+    bricks,
+    slot_of,
+    order,
+    turn,
+    sign,
+    reject,
+    weight,
+    total,
 ):
     """Add frames of any type and number of channels, or take them out.
 
@@ -398,10 +428,11 @@ def gather_general(
         peak = np.int32(peaks[f])
         middle, span = _fill_steps(fixed[f], mid, order[2], steps, lanes)
         for p in range(first[f], first[f + 1]):
-            if (bricks[p, slow] + bricks[p, mid]) % turn[1] != turn[0]:
+            brick = bricks[numbers[p]]
+            if (brick[slow] + brick[mid]) % turn[1] != turn[0]:
                 continue
-            slot = slots[p]
-            u, v, d = _corner(fixed[f], bricks[p])
+            slot = slot_of[numbers[p]]
+            u, v, d = _corner(fixed[f], brick)
             for layer in range(BRICK):
                 height = d + layer * steps[2, slow]
                 if abs(height + middle) > span + peak:

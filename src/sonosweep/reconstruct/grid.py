@@ -94,8 +94,8 @@ def check_poses(image_to_reference: Float[Tensor, "frames 4 4"]) -> None:
     """
     if len(image_to_reference) == 0:
         raise ScanError("the sweep has no frames to put into a volume")
-    bad = ~torch.isfinite(image_to_reference).flatten(1).all(-1)
-    if bool(bad.any()):
+    if not np.isfinite(image_to_reference.numpy()).all():
+        bad = ~torch.isfinite(image_to_reference).flatten(1).all(-1)
         raise ScanError(
             f"the pose of frame {int(bad.nonzero()[0])} holds values that are not numbers; leave"
             " out the frames that were not tracked"

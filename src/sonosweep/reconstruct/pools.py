@@ -41,11 +41,21 @@ class BytePool:
         self,
         frames: UInt8[np.ndarray, "frames rows columns *channels"],
         part: Contribution,
-        slots: Int[np.ndarray, " pairs"],
+        bricks: Bricks,
+        slot_of: Slots,
         turn: tuple[int, int],
         sign: int,
     ) -> int:
-        """Add (1) or take out (-1) frames; returns how many sums had to be halved."""
+        """Add (1) or take out (-1) frames; returns how many sums had to be halved.
+
+        Args:
+            frames: Some frames.
+            part: What they contribute.
+            bricks: All bricks by number.
+            slot_of: The slot of each, by number.
+            turn: (this thread, number of threads).
+            sign: 1 or -1.
+        """
         return kernels.gather_bytes(
             frames.reshape(frames.shape[:3]),
             self._sampling.box,
@@ -53,8 +63,9 @@ class BytePool:
             part.fixed,
             part.peaks,
             part.first,
-            part.bricks,
-            slots,
+            part.numbers,
+            bricks,
+            slot_of,
             self._order,
             turn,
             sign,
@@ -116,7 +127,8 @@ class GeneralPool:
         self,
         frames: Shaped[np.ndarray, "frames rows columns *channels"],
         part: Contribution,
-        slots: Int[np.ndarray, " pairs"],
+        bricks: Bricks,
+        slot_of: Slots,
         turn: tuple[int, int],
         sign: int,
     ) -> int:
@@ -128,8 +140,9 @@ class GeneralPool:
             part.fixed,
             part.peaks,
             part.first,
-            part.bricks,
-            slots,
+            part.numbers,
+            bricks,
+            slot_of,
             self._order,
             turn,
             sign,

@@ -6,7 +6,7 @@ beside the output are the bricks around the current frames, some megabytes.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -123,7 +123,7 @@ def compound_gather(
     sampling = sampling_of_frames(
         grid, pixel_to_image, frames.shape[1], frames.shape[2], radius_mm, prefilter, mask
     )
-    plan = plan_sweep(sampling, image_to_reference, pixel_to_image, frames, confidence)
+    plan = plan_sweep(sampling, grid, image_to_reference, pixel_to_image, frames, confidence)
     output = DenseOutput(grid, dtype, channels)
     gather_into(output, plan, frames, reject_below, thread_count(threads), progress)
     return Volume(
@@ -142,8 +142,7 @@ class Plan:
         sampling: How frames are sampled.
         order: Axes of the volume from the slowest in a brick to the fastest.
         bricks: All bricks (x, y, z) that frames meet, in order of first touch.
-        contributions: Of each block of frames, without their bricks.
-        numbers: Of each block, which bricks its frames meet.
+        contributions: Of each block of frames.
         touched: How many bricks were touched after each block.
         last_block: Of each brick, the last block that touches it.
     """
@@ -152,13 +151,13 @@ class Plan:
     order: Int[np.ndarray, "axes=3"]
     bricks: Int[np.ndarray, "bricks xyz=3"]
     contributions: list[Contribution]
-    numbers: list[np.ndarray]
     touched: list[int]
     last_block: Int[np.ndarray, " bricks"]
 
 
 def plan_sweep(
     sampling: Sampling,
+    grid: VolumeGrid,
     image_to_reference: Float[Tensor, "frames 4 4"],
     pixel_to_image: Float[Tensor, "4 4"],
     frames: Frames,
@@ -174,21 +173,19 @@ def plan_sweep(
         raise ScanError(f"{len(frames)} frames but {len(image_to_reference)} poses")
     weight = check_confidence(confidence, len(frames))
     planes = planes_of_frames(image_to_reference, pixel_to_image)
-    order = axes_by_normal(planes, sampling.grid)
+    order = axes_by_normal(planes, grid)
     radii = sampling.radii_mm(np.concatenate(([0.0], sampling.gaps_mm(planes))))
-    table = BrickTable(sampling.grid)
-    contributions, numbers, touched = [], [], []
-    for block in block_ranges(frames):
-        part = sampling.contribution(planes.part(block), radii[block], weight[block], order)
-        numbers.append(table.numbers(part.bricks))
-        contributions.append(replace(part, bricks=part.bricks[:0]))
+    table = BrickTable(grid)
+    contributions, touched = [], []
+    for k in block_ranges(frames):
+        contributions.append(sampling.contribution(planes[k], radii[k], weight[k], order, table))
         touched.append(len(table))
     if len(table) == 0:
         raise ScanError("no frame of the sweep meets the grid: check its origin and the poses")
     last_block = np.zeros(len(table), np.int64)
-    for k, met in enumerate(numbers):
-        last_block[met] = k
-    return Plan(sampling, order, table.bricks, contributions, numbers, touched, last_block)
+    for block, part in enumerate(contributions):
+        last_block[part.numbers] = block
+    return Plan(sampling, order, table.bricks, contributions, touched, last_block)
 
 
 def gather_into(
@@ -203,31 +200,52 @@ def gather_into(
     channels = frames.shape[3] if len(frames.shape) == 4 else 1
     dtype = np.dtype(frames.dtype).newbyteorder("=")
     pool = pool_for(dtype, channels, plan.sampling, reject_below, plan.order, FIRST_SLOTS)
-    slot_of = np.full(len(plan.bricks), -1, np.int32)
-    free = np.arange(FIRST_SLOTS, dtype=np.int32)
-    room, started = FIRST_SLOTS, 0
+    slots = _Slots(plan, pool)
     by_last_block = np.argsort(plan.last_block, kind="stable")
-    ends = np.searchsorted(plan.last_block[by_last_block], np.arange(len(plan.numbers) + 1))
+    blocks = np.arange(len(plan.contributions) + 1)
+    ends = np.searchsorted(plan.last_block[by_last_block], blocks)
     with ThreadPoolExecutor(threads) as workers:
         for k, (block, pixels) in enumerate(read_blocks(frames)):
-            new = plan.touched[k] - started
-            if new > len(free):
-                more = max(new - len(free), room)
-                pool.reserve(room + more)
-                free = np.concatenate((free, np.arange(room, room + more, dtype=np.int32)))
-                room += more
-            slot_of[started : plan.touched[k]], free = free[:new], free[new:]
-            started = plan.touched[k]
-            met = plan.numbers[k]
-            part = replace(plan.contributions[k], bricks=plan.bricks[met])
-            slots = slot_of[met]
+            slots.take(plan.touched[k])
 
-            def add(turn: int, pixels=pixels, part=part, slots=slots) -> int:
-                return pool.add(pixels, part, slots, (turn, threads), 1)
+            def add(turn: int, pixels: np.ndarray = pixels, k: int = k) -> int:
+                part = plan.contributions[k]
+                return pool.add(pixels, part, plan.bricks, slots.slot_of, (turn, threads), 1)
 
             in_turns(add, threads, workers)
             finished = by_last_block[ends[k] : ends[k + 1]]
-            output.write(pool, slot_of[finished], plan.bricks[finished], workers, threads)
-            free = np.concatenate((slot_of[finished], free))
+            places = slots.give_back(finished)
+            output.write(pool, places, plan.bricks[finished], workers, threads)
             if progress is not None:
                 progress(block.stop, len(frames))
+
+
+class _Slots:
+    """Which slot of the pool a brick has while frames touch it."""
+
+    def __init__(self, plan: Plan, pool: Pool) -> None:
+        self.slot_of = np.full(len(plan.bricks), -1, np.int32)
+        self._pool = pool
+        self._free = np.arange(FIRST_SLOTS, dtype=np.int32)
+        self._room = FIRST_SLOTS
+        self._started = 0
+
+    def take(self, touched: int) -> None:
+        """Give slots to the bricks touched for the first time, up to number ``touched``."""
+        new = touched - self._started
+        if new > len(self._free):
+            more = max(new - len(self._free), self._room)
+            self._pool.reserve(self._room + more)
+            added = np.arange(self._room, self._room + more, dtype=np.int32)
+            self._free = np.concatenate((self._free, added))
+            self._room += more
+        self.slot_of[self._started : touched] = self._free[:new]
+        self._free = self._free[new:]
+        self._started = touched
+
+    def give_back(self, finished: Int[np.ndarray, " bricks"]) -> Int[np.ndarray, " bricks"]:
+        """Return the slots of bricks that are finished, to be emptied before the next take."""
+        places = self.slot_of[finished]
+        # The last used are the first to serve again: they are still in the cache.
+        self._free = np.concatenate((places, self._free))
+        return places

@@ -9,8 +9,15 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sonosweep.errors import ScanError
+from sonosweep.reconstruct.bricks import BrickTable
 from sonosweep.reconstruct.gather_kernels import BRICK, ONE, ROUND, list_bricks
-from sonosweep.reconstruct.planes import Planes, gaps_mm, voxel_bounds, voxel_to_plane
+from sonosweep.reconstruct.planes import (
+    Lattice,
+    Planes,
+    gaps_mm,
+    lattice_of_grid,
+    voxel_to_plane,
+)
 from sonosweep.scan import VolumeGrid
 
 NARROWEST_RADIUS_VOXELS = 2.0
@@ -30,13 +37,13 @@ class Contribution:
         fixed: Per frame, voxel (x, y, z, 1) to fixed-point (column, row, height).
         peaks: Per frame, weight in its plane, in fixed point.
         first: Index of each frame's first brick, and the total.
-        bricks: Bricks (x, y, z) that the frames meet.
+        numbers: Bricks that the frames meet, by their number in a table.
     """
 
     fixed: Float[np.ndarray, "frames 3 4"]
     peaks: Int[np.ndarray, " frames"]
     first: Int[np.ndarray, " frames+1"]
-    bricks: Int[np.ndarray, "pairs xyz=3"]
+    numbers: Int[np.ndarray, " pairs"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +51,8 @@ class Sampling:
     """How frames of one shape are sampled by the voxels of a grid.
 
     Attributes:
-        grid: Where the voxels are.
+        lattice: Where the voxels are.
+        voxel_mm: Largest spacing of the voxels.
         rows: Of a frame.
         columns: Of a frame.
         box: Rows and columns that are averaged before sampling.
@@ -53,7 +61,8 @@ class Sampling:
         kept_cells: Empty, or which cells of the averaged frame count.
     """
 
-    grid: VolumeGrid
+    lattice: Lattice
+    voxel_mm: float
     rows: int
     columns: int
     box: Int[np.ndarray, " 2"]
@@ -68,7 +77,7 @@ class Sampling:
         """
         if self.radius_mm is not None:
             return np.full(len(gaps), self.radius_mm)
-        narrowest = NARROWEST_RADIUS_VOXELS * max(self.grid.spacing_mm)
+        narrowest = NARROWEST_RADIUS_VOXELS * self.voxel_mm
         return np.clip(gaps, narrowest, max(WIDEST_RADIUS_MM, narrowest))
 
     def gaps_mm(self, planes: Planes) -> Float[np.ndarray, " steps"]:
@@ -81,23 +90,21 @@ class Sampling:
         radii_mm: Float[np.ndarray, " frames"],
         confidence: Float[np.ndarray, " frames"],
         order: Int[np.ndarray, "axes=3"],
+        table: BrickTable,
     ) -> Contribution:
-        """Return which bricks the frames meet and how they are sampled there."""
-        matrix = voxel_to_plane(planes, self.grid)
-        for k, box in enumerate(self.box[::-1]):  # pixels to averaged pixels
-            matrix[:, k, :3] /= box
-            matrix[:, k, 3] = (matrix[:, k, 3] + 0.5) / box - 0.5
-        low, high = voxel_bounds(planes, self.grid, self.rows, self.columns, radii_mm)
-        limits = np.array([-(-n // BRICK) for n in self.grid.size])
-        boxes = np.stack((np.floor(low / BRICK), np.floor(high / BRICK) + 1), axis=2)
-        boxes = np.clip(boxes, 0, limits[:, None]).astype(np.int64)
+        """Return which bricks the frames meet, by number, and how they are sampled there."""
+        matrix, boxes = voxel_to_plane(planes, self.lattice, self.rows, self.columns, radii_mm)
+        for k, box in enumerate(self.box.tolist()[::-1]):  # pixels to averaged pixels
+            if box > 1:
+                matrix[:, k, :3] /= box
+                matrix[:, k, 3] = (matrix[:, k, 3] + 0.5) / box - 0.5
         half_size = np.array([self.columns, self.rows]) / self.box[::-1] / 2
         first, bricks = _list(matrix, radii_mm, boxes, half_size, order)
         fixed = matrix * ONE
         fixed[:, 2] *= (confidence / radii_mm)[:, None]
         fixed[:, :2, 3] += ONE + ROUND
         peaks = np.floor(confidence * ONE + 0.5).astype(np.int64) - 1
-        return Contribution(fixed, peaks, first, bricks)
+        return Contribution(fixed, peaks, first, table.numbers(bricks))
 
 
 def sampling_of_frames(
@@ -136,7 +143,8 @@ def sampling_of_frames(
             f" {max(grid.spacing_mm):g} mm: use a prefilter"
         )
     return Sampling(
-        grid=grid,
+        lattice=lattice_of_grid(grid),
+        voxel_mm=max(grid.spacing_mm),
         rows=rows,
         columns=columns,
         box=box,
