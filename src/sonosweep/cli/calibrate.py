@@ -33,7 +33,7 @@ def calibrate(
     from sonosweep.cli.output import check_free, say
 
     check_free(output, force)
-    recorded = locate(read(scan, inputs), None)
+    recorded = locate(read(scan, inputs))
     curve = estimators.calibrate(recorded, length_mm=length_mm)
     estimators.write_curve(curve, output)
     source = "tracked poses" if length_mm is None else f"a length of {length_mm:g} mm"

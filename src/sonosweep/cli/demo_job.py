@@ -31,7 +31,7 @@ VOXEL_MM = 0.8  # two and a half pixels: the report is quick to load
 def run_demo(folder: Path) -> JobResult:
     """Reconstruct the packaged sweep twice and write everything into a folder."""
     print("reading the packaged sweep (liver, curved probe, 140 frames)", file=sys.stderr)
-    scan = locate(gray(read_demo_sweep()), None)
+    scan = locate(gray(read_demo_sweep()))
     tracked = tracked_trajectory(scan)
     _, estimated = find_trajectory(scan, MotionOptions(direction="backward"))
     sensorless = replace(

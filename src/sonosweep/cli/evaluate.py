@@ -29,6 +29,7 @@ def evaluate(
         tracked: The tracked scan.
         output: Where to write the numbers: .json or .csv; both with no suffix.
     """
+    from sonosweep.cli.motion import locate
     from sonosweep.cli.output import check_free, say
     from sonosweep.evaluate import (
         compare_trajectories,
@@ -41,7 +42,7 @@ def evaluate(
     paths = _outputs(output)
     for path in paths:
         check_free(path, force)
-    result = compare_trajectories(_trajectory(estimated), read(tracked, inputs))
+    result = compare_trajectories(_trajectory(estimated), locate(read(tracked, inputs)))
     row = comparison_row(result)
     for path in paths:
         if path.suffix.lower() == ".csv":

@@ -57,16 +57,31 @@ def find_trajectory(scan: "Scan", options: MotionOptions) -> tuple["Scan", "Traj
     return located, trajectory
 
 
-def locate(scan: "Scan", crop: tuple[int, int, int, int] | None) -> "Scan":
-    """Return the scan with its region: the given rectangle, its own, or the one found."""
-    from sonosweep.scan import Region, find_region
+def locate(scan: "Scan", crop: tuple[int, int, int, int] | None = None) -> "Scan":
+    """Return the scan with its region: the file's own, or the one found.
 
-    if crop is not None:
-        mask = None if scan.region is None else scan.region.mask
-        return replace(scan, region=Region(crop, mask))
-    if scan.region is not None:
-        return scan
-    return replace(scan, region=find_region(scan.frames))
+    A rectangle, given or from the file, may hold a sector or still have a border: the image
+    is looked for within it.
+    """
+    import numpy as np
+
+    from sonosweep.scan import FrameView, Region, crop_scan, find_region
+
+    if crop is None and scan.region is not None:
+        if scan.region.mask is not None:
+            return scan
+        crop = scan.region.rectangle_px
+    if crop is None:
+        return replace(scan, region=find_region(scan.frames))
+    crop_scan(scan, crop)  # refuses a rectangle that does not fit
+    found = find_region(FrameView(scan.frames, rectangle_px=crop))
+    column, row, width, height = found.rectangle_px
+    mask = None
+    if found.mask is not None:
+        rows, columns = scan.frames.shape[1:3]
+        below, right = rows - crop[1] - crop[3], columns - crop[0] - crop[2]
+        mask = np.pad(found.mask, ((crop[1], below), (crop[0], right)))
+    return replace(scan, region=Region((crop[0] + column, crop[1] + row, width, height), mask))
 
 
 def make_estimator(options: MotionOptions) -> "MotionEstimator":

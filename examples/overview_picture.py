@@ -1,0 +1,28 @@
+"""Draw the picture of the README: the packaged sweep goes in, a volume comes out.
+
+python examples/overview_picture.py docs/images/overview.png
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import sonosweep
+from sonosweep.io.demo_sweep import read_demo_sweep
+from sonosweep.reconstruct import B_MODE, VolumeSettings, tracked_trajectory
+from sonosweep.scan import find_region
+from sonosweep.view import write_overview_picture
+
+
+def main(path: Path, voxel_mm: float = 0.6) -> None:
+    """Write the picture, made with the tracked poses."""
+    scan = read_demo_sweep()
+    scan = replace(scan, region=find_region(scan.frames))
+    trajectory = tracked_trajectory(scan)
+    volume = sonosweep.reconstruct_scan(scan, trajectory, VolumeSettings(voxel_mm))[B_MODE]
+    assert scan.calibration is not None
+    write_overview_picture(path, scan.frames, scan.calibration.spacing_mm, trajectory, volume)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
