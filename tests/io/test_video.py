@@ -267,6 +267,16 @@ def test_files_that_are_no_video_are_said(tmp_path):
             read_video(tmp_path / name)
 
 
+def test_an_unknown_codec_is_said(tmp_path):
+    """The four letters that name the codec are damaged, or of a codec that is not there."""
+    encode(tmp_path / "a.avi", "mjpeg", "yuvj420p", ramps(3, rows=48, columns=64))
+    whole = (tmp_path / "a.avi").read_bytes().replace(b"MJPG", b"ZZZZ")
+    (tmp_path / "a.avi").write_bytes(whole)
+
+    with pytest.raises(FormatError, match="FFmpeg does not know"):
+        read_video(tmp_path / "a.avi")
+
+
 def test_a_cut_off_video_is_noticed(tmp_path):
     """Matroska plays up to where it ends; the notes say that something is missing."""
     frames = np.random.default_rng(0).integers(0, 256, (80, 49, 63), dtype=np.uint8)

@@ -287,6 +287,8 @@ def _video_stream(container: av.container.InputContainer, path: Path) -> av.Vide
     stream = container.streams.best("video")
     if not isinstance(stream, av.VideoStream):
         raise FormatError(f"'{path.name}' holds no video")
+    if stream.codec_context is None:
+        raise FormatError(f"'{path.name}' is coded in a way that FFmpeg does not know")
     columns, rows = stream.codec_context.width, stream.codec_context.height
     if not 0 < columns * rows <= LARGEST_FRAME_PX:
         raise FormatError(f"'{path.name}' has frames of {columns} x {rows} pixels")
