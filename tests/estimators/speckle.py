@@ -20,7 +20,7 @@ ELEVATIONAL_MM = 0.60
 AMPLITUDE_WIDTH_MM = ELEVATIONAL_MM / np.sqrt(2)
 """Where that of the amplitude has: it is the square of the other, within 2 %."""
 
-WAVES = 3000
+WAVES = 1500
 SPACING_MM = 0.15
 
 
@@ -39,21 +39,27 @@ class Medium:
         self._waves = rng.standard_normal((WAVES, 3)) * scale
         self._weights = rng.standard_normal(WAVES) + 1j * rng.standard_normal(WAVES)
         self._slow_waves = rng.standard_normal((200, 3)) * (np.sqrt(2) / structure_mm)
-        self._slow_weights = np.exp(2j * np.pi * rng.random(200)) * structure / np.sqrt(100)
+        phases = np.exp(2j * np.pi * rng.random(200))
+        self._slow_weights = phases * structure / np.sqrt(100) if structure else None
 
     def amplitude(self, image_to_world: np.ndarray, rows: int, columns: int) -> np.ndarray:
         """Return the echo amplitude of one frame; 1 is its root mean square."""
         echo = _field(self._waves, self._weights, image_to_world, rows, columns)
+        amplitude = np.abs(echo) / np.sqrt(2 * WAVES)
+        if self._slow_weights is None:
+            return amplitude
         slow = _field(self._slow_waves, self._slow_weights, image_to_world, rows, columns)
-        return np.abs(echo) / np.sqrt(2 * WAVES) * np.exp(slow.real)
+        return amplitude * np.exp(slow.real)
 
 
 def _field(waves, weights, image_to_world, rows, columns) -> np.ndarray:
     x = np.arange(columns) * SPACING_MM
     y = np.arange(rows) * SPACING_MM
-    along_x = np.exp(1j * np.outer(x, waves @ image_to_world[:3, 0]))
-    along_y = np.exp(1j * np.outer(y, waves @ image_to_world[:3, 1]))
-    return (along_y * (weights * np.exp(1j * waves @ image_to_world[:3, 3]))) @ along_x.T
+    # Single precision for the products: 1e-6 of an amplitude is no gray level.
+    along_x = np.exp(1j * np.outer(x, waves @ image_to_world[:3, 0])).astype(np.complex64)
+    along_y = np.exp(1j * np.outer(y, waves @ image_to_world[:3, 1])).astype(np.complex64)
+    here = (weights * np.exp(1j * waves @ image_to_world[:3, 3])).astype(np.complex64)
+    return (along_y * here) @ along_x.T
 
 
 def sweep(
@@ -62,6 +68,7 @@ def sweep(
     rows: int = 128,
     columns: int = 128,
     structure: float = 0.0,
+    structure_mm: float = 2.0,
     persistence: float = 0.0,
     noise: float = 0.0,
 ) -> Scan:
@@ -73,11 +80,12 @@ def sweep(
         rows: Of a frame.
         columns: Of a frame.
         structure: How much the medium's brightness varies; 0 is pure speckle.
+        structure_mm: Size of what is brighter or darker.
         persistence: Part of the shown frame that is the previous shown frame, as scanners
             average; 0 for none.
         noise: Root mean square of electronic noise, relative to the echoes.
     """
-    medium = Medium(seed, structure)
+    medium = Medium(seed, structure, structure_mm)
     rng = np.random.default_rng(seed + 1)
     steps = step_from_motion(torch.as_tensor(motion, dtype=torch.float64))
     poses = poses_from_steps(steps, torch.eye(4, dtype=torch.float64))

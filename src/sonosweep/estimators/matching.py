@@ -24,6 +24,9 @@ from sonosweep.estimators.registration import (
 from sonosweep.estimators.texture import TextureFilter, full_scale
 from sonosweep.scan import FrameView, Scan
 
+NARROWEST_PX = 24
+"""Least window over which brightness is divided out: a dozen speckles, which it must spare."""
+
 COARSE_PX = 256
 """Longest side at which motion is searched for; scanners show far more pixels than speckles."""
 
@@ -113,7 +116,7 @@ class PairMatcher:
         self._grid = grid
         self._name = scan.name
         self._frames = FrameView(scan.frames, rectangle_px=grid.rectangle_px, gray=True)
-        window = (max(3, grid.side_px // 2),) * 2
+        window = (max(NARROWEST_PX, grid.side_px // 2),) * 2
         self._filter = TextureFilter(grid.mask, dynamic_range_db / full_scale(self._frames), window)
         self._ready: OrderedDict[int, _Textured] = OrderedDict()
         self._kept = kept

@@ -33,7 +33,7 @@ OUTLIER = 2.5
 INTERPOLATION = 0.01
 """Error of the height of a correlation summit that falls between pixels."""
 
-SHARED_ERROR = 1.7
+SHARED_ERROR = 1.2
 """By how much standard deviations would be too small if neighboring patches, and pairs with
 a frame in common, erred independently; measured on simulated speckle."""
 
