@@ -85,11 +85,12 @@ class PackedMean:
             self._packed,
             self._spilled,
             self._spills > 0,
-            self._shift,
-            self._insertion.unit,
+            self._packed.dtype.type(self._shift),
+            self._packed.dtype.type((1 << self._shift) - 1),
+            1 / self._insertion.unit,
             self._insertion.margin,
             self._slab.edges[0],
-            voxels,
+            voxels[..., 0],
             coverage,
         )
 

@@ -385,23 +385,35 @@ def linear_replace(
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def finish_packed(packed, spilled, has_spilled, shift, unit, margin, low, voxels, coverage):
+def finish_packed(
+    packed, spilled, has_spilled, shift, mask, per_unit, margin, low, voxels, coverage
+):
     """Write the rounded means of a slab of packed words; axes are (z, y, x)."""
-    mask = np.uint64((1 << shift) - 1)
     for z in range(packed.shape[0] - 2 * margin):
         for y in range(packed.shape[1] - 2 * margin):
-            words = packed[z + margin, y + margin]
-            row = voxels[low[2] + z, low[1] + y, :, 0]
-            seen = coverage[low[2] + z, low[1] + y]
-            for x in range(packed.shape[2] - 2 * margin):
-                weight = np.float64(np.uint64(words[x + margin]) >> np.uint64(shift))
-                total = np.float64(np.uint64(words[x + margin]) & mask)
+            words = packed[z + margin, y + margin, margin : packed.shape[2] - margin]
+            if not (has_spilled or _any(words)):
+                continue  # leave the empty part of the volume untouched, it costs no memory
+            row = voxels[low[2] + z, low[1] + y, low[0] : low[0] + words.size]
+            seen = coverage[low[2] + z, low[1] + y, low[0] : low[0] + words.size]
+            for x in range(words.size):
+                weight = np.float64(words[x] >> shift)
+                total = np.float64(words[x] & mask)
                 if has_spilled:
-                    weight += spilled[z + margin, y + margin, x + margin, 0]
-                    total += spilled[z + margin, y + margin, x + margin, 1]
-                if weight > 0:
-                    row[low[0] + x] = np.uint8(total / weight + 0.5)
-                    seen[low[0] + x] = np.uint8(min(math.ceil(weight / unit), 255.0))
+                    weight += spilled[z + margin, y + margin, margin + x, 0]
+                    total += spilled[z + margin, y + margin, margin + x, 1]
+                # Where there is no weight there is no sum: 0.5 is cut off to 0.
+                row[x] = np.uint8(np.int32(total / max(weight, 1.0) + 0.5))
+                seen[x] = np.uint8(np.int32(min(np.ceil(weight * per_unit), 255.0)))
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _any(words):
+    bits = words[0]
+    for x in range(words.size):
+        bits |= words[x]
+    return bits != 0
 
 
 @njit(cache=True, nogil=True)
