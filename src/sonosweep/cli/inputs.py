@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
@@ -29,6 +29,8 @@ class InputOptions:
         image_orientation: PLUS's letters (MF, UF, ...), instead of what a sequence says.
         latency_ms: How much later frame times are than pose times for the same moment.
         max_gap_ms: Longest time between two poses to interpolate over.
+        pose_of: Whether the pose file's poses are of the image or of the probe, where the
+            file does not say.
         variable: Name of the frames in a .mat file that holds several arrays.
     """
 
@@ -39,6 +41,7 @@ class InputOptions:
     image_orientation: str | None = None
     latency_ms: float = 0.0
     max_gap_ms: float = 100.0
+    pose_of: Literal["image", "probe"] | None = None
     variable: str | None = None
 
 
@@ -56,5 +59,6 @@ def read(path: Path, options: InputOptions | None) -> "Scan":
         image_orientation=chosen.image_orientation,
         latency_s=chosen.latency_ms / 1000,
         max_gap_s=chosen.max_gap_ms / 1000,
+        pose_of=chosen.pose_of,
         variable=chosen.variable,
     )

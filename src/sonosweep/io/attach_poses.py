@@ -2,42 +2,60 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sonosweep.errors import ScanError
-from sonosweep.io.pose_table import read_pose_table
+from sonosweep.io.pose_table import FIRST_LINE, read_pose_table
 from sonosweep.io.trajectories import read_trajectory
 from sonosweep.scan import Scan, Trajectory, match_poses
 
 TABLES = (".csv", ".txt", ".tum")
+PoseOf = Literal["image", "probe"]
 
 
 def attach_poses(
-    scan: Scan, pose_file: Path, latency_s: float = 0.0, max_gap_s: float = 0.1
+    scan: Scan,
+    pose_file: Path,
+    latency_s: float = 0.0,
+    max_gap_s: float = 0.1,
+    pose_of: PoseOf | None = None,
 ) -> Scan:
     """Return the scan with the poses of a file.
 
     A table with a column ``frame`` says itself where its poses belong. Otherwise, with
     times on both sides, poses are matched by time and interpolated; without, they are taken
-    one by one. If the calibration says where the image is on the probe, the file's poses
-    are the probe's, else the image's.
+    one by one.
 
     Args:
         scan: What was recorded.
         pose_file: csv, TUM, ``.igs.mha`` or ``.tfm``.
         latency_s: How much later frame times are than pose times for the same moment.
         max_gap_s: Longest time between two samples to interpolate over.
+        pose_of: What the poses are of; ``None`` takes the file's word, and the image where
+            the scan does not say where the image is on the probe.
 
     Raises:
         FormatError: If the file is not a list of poses.
-        ScanError: If poses and frames do not fit together.
+        ScanError: If poses and frames do not fit together, or it is open whether the poses
+            are the image's or the probe's.
     """
-    poses, tracked, notes = _poses_of_frames(scan, pose_file, latency_s, max_gap_s)
-    if scan.calibration is not None and scan.calibration.image_to_probe is not None:
-        poses = poses @ scan.calibration.image_to_probe
+    samples, indices = _read(pose_file)
+    poses, tracked, notes = _poses_of_frames(
+        scan, samples, indices, pose_file.name, latency_s, max_gap_s
+    )
+    image_to_probe = None if scan.calibration is None else scan.calibration.image_to_probe
+    owner = pose_of or _owner(samples, pose_file, image_to_probe is not None)
+    if owner == "probe":
+        if image_to_probe is None:
+            raise ScanError(
+                f"'{pose_file.name}' holds poses of the probe, and where the image is on it is"
+                " not known: give --plus-config with its ImageToProbe"
+            )
+        poses = poses @ image_to_probe
     if tracked is not None and bool(tracked.all()):
         tracked = None
     return replace(scan, image_to_reference=poses, tracked=tracked, notes={**scan.notes, **notes})
@@ -53,16 +71,37 @@ def spread_poses(
     return every, tracked
 
 
+def _owner(samples: Trajectory, pose_file: Path, calibrated: bool) -> PoseOf:
+    """Return what a file's poses are of, by its own word or because there is no choice."""
+    if samples.settings.get("pose_of") == "Probe":
+        return "probe"
+    if not calibrated or pose_file.suffix.lower() not in TABLES or _is_ours(pose_file):
+        return "image"
+    raise ScanError(
+        f"'{pose_file.name}' does not say whether its poses are of the image or of the probe:"
+        " say so with --pose-of"
+    )
+
+
+def _is_ours(pose_file: Path) -> bool:
+    with pose_file.open(errors="replace") as stream:
+        return stream.readline(len(FIRST_LINE) + 2).strip() == FIRST_LINE
+
+
 def _poses_of_frames(
-    scan: Scan, pose_file: Path, latency_s: float, max_gap_s: float
+    scan: Scan,
+    samples: Trajectory,
+    indices: Tensor | None,
+    file_name: str,
+    latency_s: float,
+    max_gap_s: float,
 ) -> tuple[Tensor, Tensor | None, dict[str, str]]:
-    samples, indices = _read(pose_file)
     frames, poses = len(scan.frames), samples.image_to_reference
     if indices is not None:
         if int(indices.max()) >= frames:
             raise ScanError(
                 f"{frames} frames in '{scan.name}' but a pose of frame {int(indices.max())} in"
-                f" '{pose_file.name}'"
+                f" '{file_name}'"
             )
         return *spread_poses(poses, indices, frames), {}
     if scan.timestamps_s is not None and samples.timestamps_s is not None:
@@ -73,7 +112,7 @@ def _poses_of_frames(
         return matched, tracked, {"matching": note}
     if frames != len(poses):
         raise ScanError(
-            f"{frames} frames in '{scan.name}' but {len(poses)} poses in '{pose_file.name}', and"
+            f"{frames} frames in '{scan.name}' but {len(poses)} poses in '{file_name}', and"
             " without times on both sides they cannot be matched: give --frame-rate-hz, or a"
             " pose file with a column for time or frame"
         )

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import torch
 
@@ -27,6 +28,7 @@ def open_scan(
     image_orientation: str | None = None,
     latency_s: float = 0.0,
     max_gap_s: float = 0.1,
+    pose_of: Literal["image", "probe"] | None = None,
     variable: str | None = None,
 ) -> Scan:
     """Return the scan in a file or folder of any format that we read.
@@ -36,9 +38,8 @@ def open_scan(
     Args:
         path: A file, or a folder of images or of single-frame DICOM files.
         plus_config: PLUS device set whose ImageToProbe places the image on the probe.
-        pose_file: Poses beside the images (csv, TUM, ``.igs.mha``): of the image, or of
-            the probe if the calibration says where the image is on it. With timestamps on
-            both sides they are matched by time, else one by one.
+        pose_file: Poses beside the images (csv, TUM, ``.igs.mha``). With timestamps on both
+            sides they are matched by time, else one by one.
         spacing_mm: Pixel size (lateral, axial), instead of what the file says.
         frame_rate_hz: Frames per second, instead of the file's times.
         image_orientation: PLUS's two letters (``"MF"``, ``"UF"``, ...), instead of what a
@@ -46,6 +47,8 @@ def open_scan(
         latency_s: How much later the frame times are than the pose file's, for the same
             moment.
         max_gap_s: Longest time between two poses to interpolate over.
+        pose_of: Whether the pose file's poses are of the image or of the probe, where the
+            file does not say.
         variable: Name of the frames in a ``.mat`` file that holds several arrays.
 
     Raises:
@@ -63,7 +66,7 @@ def open_scan(
     if pose_file is not None:
         from sonosweep.io.attach_poses import attach_poses
 
-        scan = attach_poses(scan, Path(pose_file), latency_s, max_gap_s)
+        scan = attach_poses(scan, Path(pose_file), latency_s, max_gap_s, pose_of)
     return scan
 
 
@@ -94,9 +97,7 @@ def _read(
     if file.stat().st_size == 0:
         raise FormatError(f"'{file.name}' is empty")
     if suffix in SEQUENCES:
-        from sonosweep.io.sequence_scan import read_plus
-
-        return read_plus(file, config=plus_config, orientation=orientation)
+        return _read_sequence(file, plus_config, orientation)
     scan = _read_other(file, suffix, variable)
     if plus_config is not None:
         from sonosweep.io.plus_config import read_plus_config
@@ -105,6 +106,17 @@ def _read(
         if measured is not None:
             scan = replace(scan, calibration=calibration_from_matrix(measured))
     return scan
+
+
+def _read_sequence(
+    file: Path, plus_config: str | os.PathLike | None, orientation: str | None
+) -> Scan:
+    from sonosweep.io.sequence_scan import read_plus
+    from sonosweep.io.zenodo7740734 import find_zenodo_calibration, read_zenodo7740734
+
+    if plus_config is None and (calibration := find_zenodo_calibration(file)) is not None:
+        return read_zenodo7740734(file, calibration)
+    return read_plus(file, config=plus_config, orientation=orientation)
 
 
 def _read_other(file: Path, suffix: str, variable: str | None) -> Scan:

@@ -88,7 +88,7 @@ def read_tusrec(
     file = Path(path)
     frames, tool_to_camera = _read_parts(file)
     if not isinstance(calibration, Calibration):
-        table = calibration if calibration is not None else _find_above(file, CALIBRATION_NAME)
+        table = calibration if calibration is not None else find_above(file, CALIBRATION_NAME)
         calibration = None if table is None else read_tusrec_calibration(table)
     notes = {"time": "the file has no times; the set was recorded at 20 frames/s"}
     poses = None
@@ -150,7 +150,7 @@ def read_tusrec_landmarks(
     scan = Path(scan_path)
     if landmarks is None:
         name = f"landmark_{scan.parent.name}.h5"
-        found = [_find_above(scan, f"{folder}/{name}") for folder in ("landmarks", "landmark")]
+        found = [find_above(scan, f"{folder}/{name}") for folder in ("landmarks", "landmark")]
         landmarks = next((path for path in found if path is not None), None)
         if landmarks is None:
             raise FormatError(f"no landmarks/{name} in the folders above '{scan}'")
@@ -217,7 +217,8 @@ def _read_parts(file: Path) -> tuple[HDF5Frames, Float[Tensor, "frames 4 4"] | N
         return frames, torch.from_numpy(read_array(opened, "tforms", (None, 4, 4), len(frames)))
 
 
-def _find_above(file: Path, name: str) -> Path | None:
+def find_above(file: Path, name: str) -> Path | None:
+    """Return the file of that name in the nearest folder above, at most four up."""
     for folder in list(file.absolute().parents)[:FOLDERS_UP]:
         if (folder / name).is_file():
             return folder / name

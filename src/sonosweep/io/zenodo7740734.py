@@ -26,6 +26,7 @@ from sonosweep.errors import FormatError
 from sonosweep.io.number_table import is_number, parse_numbers, read_text, split_cells
 from sonosweep.io.rounded_poses import unround_poses
 from sonosweep.io.sequence import read_sequence
+from sonosweep.io.tusrec import find_above
 from sonosweep.scan import Calibration, FrameView, Scan, calibration_from_matrix
 
 DELAY_FRAMES = 4
@@ -81,6 +82,19 @@ def read_zenodo7740734(
         subject=file.absolute().parent.name,
         notes={"frames": f"{left_out} frames without valid transform are left out"},
     )
+
+
+def find_zenodo_calibration(path: str | os.PathLike) -> Path | None:
+    """Return the set's calibration beside a file or above it; ``None`` if there is none.
+
+    The TUS-REC sets have a file of the same name, which starts with words.
+    """
+    found = find_above(Path(path), CALIBRATION_NAME)
+    if found is None:
+        return None
+    first = next(iter(read_text(found).splitlines()), "")
+    cells = split_cells(first)
+    return found if cells and all(is_number(cell) for cell in cells) else None
 
 
 def read_zenodo_calibration(path: str | os.PathLike) -> Calibration:
