@@ -250,3 +250,12 @@ def test_a_guessed_scale_is_called_a_guess():
 
     assert "scale is a guess" in assumptions
     assert "never went backward" in assumptions
+
+
+def test_a_sweep_that_is_too_fast_is_told():
+    """Beyond the beam's width all distances look the same, and the result says so."""
+    scan = sweep(np.tile([0, 0, 1.5, 0, 0, 0.0], (4, 1)))
+
+    assumptions = DecorrelationEstimator(THEORY).estimate(scan).assumptions
+
+    assert assumptions[-1].startswith("In 4 of 4 steps the frames were too far apart")

@@ -48,7 +48,8 @@ UNEVEN_TRACKED = 0.1
 """The same for a curve whose change with depth was measured."""
 
 FARTHEST = 0.3
-"""Part of the curve's peak below which a long pair is left out: it only says "far"."""
+"""Part of the curve's peak below which a correlation only says "far"; long pairs that do
+are left out."""
 
 
 class DecorrelationEstimator(MotionEstimator):
@@ -93,7 +94,7 @@ class DecorrelationEstimator(MotionEstimator):
         _check_seen(scan.name, len(scan.frames) - 1, pairs)
         motion, std = fuse_motion(pairs, len(scan.frames) - 1, grid, self.turn_std_rad)
         return MotionEstimate(
-            torch.from_numpy(motion), torch.from_numpy(std), _assumptions(self.curve)
+            torch.from_numpy(motion), torch.from_numpy(std), _assumptions(self.curve, pairs)
         )
 
 
@@ -106,12 +107,14 @@ class FittedPair:
         last: Index of the later frame.
         in_plane: Lateral, axial (mm) and roll (rad) about the middle of the patches.
         out_of_plane: Elevational (mm), pitch and yaw (rad) about it.
+        is_far: Whether too little correlation is left to tell one distance from a larger.
     """
 
     first: int
     last: int
     in_plane: PlaneFit
     out_of_plane: PlaneFit
+    is_far: bool
 
 
 def usual_fineness(
@@ -131,16 +134,16 @@ def fit_pair(
 ) -> FittedPair:
     """Return the motion between two matched frames; nothing if they are too far apart."""
     match = pair.match
-    if pair.last - pair.first > 1 and match.typical < FARTHEST * curve.peak:
-        return FittedPair(pair.first, pair.last, NOTHING, NOTHING)
+    is_far = match.typical < FARTHEST * curve.peak
+    if is_far and pair.last - pair.first > 1:
+        return FittedPair(pair.first, pair.last, NOTHING, NOTHING, is_far)
     depth_mm = grid.centers_mm[:, 1]
     width_mm = patch_widths(curve, depth_mm, match.fineness_per_mm2, usual_per_mm2)
     out_of_plane = fit_out_of_plane(
         match.correlation, match.speckles, curve, width_mm, grid.from_middle_mm, grid.redundancy
     )
-    return FittedPair(
-        pair.first, pair.last, match.in_plane, _less_sure_of_turns(out_of_plane, curve, grid)
-    )
+    unsure = _less_sure_of_turns(out_of_plane, curve, grid)
+    return FittedPair(pair.first, pair.last, match.in_plane, unsure, is_far)
 
 
 def _less_sure_of_turns(fit: PlaneFit, curve: DecorrelationCurve, grid: PatchGrid) -> PlaneFit:
@@ -226,7 +229,7 @@ def _motion(
     return motion, std
 
 
-def _assumptions(curve: DecorrelationCurve) -> tuple[str, ...]:
+def _assumptions(curve: DecorrelationCurve, pairs: list[FittedPair]) -> tuple[str, ...]:
     """Return what a user must know before believing the result."""
     scale = {
         "guess": "The elevational scale is a guess: no decorrelation curve was given, and"
@@ -238,8 +241,19 @@ def _assumptions(curve: DecorrelationCurve) -> tuple[str, ...]:
         "length": f"The elevational scale was measured on a sweep of known length"
         f" ({curve.preset}) and holds for that probe, preset and sweep speed.",
     }
-    return (
+    always = (
         "The probe never went backward: two frames of speckle do not tell the direction.",
         scale[curve.source],
         "Tissue moved only with the probe's plane: no pulsation, breathing or compression.",
+        "The standard deviations are those of speckle; they do not cover a wrong curve, or"
+        " tissue that lies slanted to the sweep and seems to slide.",
+    )
+    steps = [pair for pair in pairs if pair.last - pair.first == 1]
+    far = sum(pair.is_far for pair in steps)
+    if far == 0:
+        return always
+    return (
+        *always,
+        f"In {far} of {len(steps)} steps the frames were too far apart to tell how far: the"
+        " probe moved at least as much as estimated; sweep more slowly.",
     )

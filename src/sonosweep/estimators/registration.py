@@ -51,7 +51,11 @@ def _box(table, top, left, side):
 @njit(cache=True, fastmath=True)
 @no_type_check
 def _dot(one, other, top, left, row, column, side):
-    """Return the sum over a patch of products, in 16 lanes that the compiler vectorizes."""
+    """Return the sum over a patch of products.
+
+    Rows are slices: indices into the whole frame could be negative as far as the compiler
+    knows, and the loop would not be vectorized.
+    """
     total = np.float32(0)
     for r in range(side):
         a = one[top + r, left : left + side]
