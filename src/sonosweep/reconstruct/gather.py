@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
-from torch import Tensor, cat
+from torch import Tensor, as_tensor, cat, float64
 
 from sonosweep.errors import ScanError
 from sonosweep.reconstruct.blocks import (
@@ -145,8 +145,10 @@ class GatherCompounder:
                 " start a new volume"
             )
         keys = _keys(stack, poses)
+        left = {key: len(self._added.get(key, ())) for key in keys}
         for number, key in enumerate(keys):
-            if len(self._added.get(key, ())) < keys.count(key):
+            left[key] -= 1
+            if left[key] < 0:
                 raise ScanError(
                     f"frame {number} of those to take out was not added at this pose, or has"
                     " been taken out before"
@@ -253,7 +255,7 @@ def check_confidence(
     """
     if confidence is None:
         return np.ones(frames)
-    weight = np.array(confidence, dtype=np.float64)
+    weight = as_tensor(confidence, dtype=float64).numpy()
     if weight.ndim and weight.shape != (frames,):
         raise ScanError(f"{frames} frames but {weight.size} confidences")
     if not ((weight >= 0) & (weight <= 1)).all():

@@ -42,7 +42,7 @@ class BytePool:
         frames: UInt8[np.ndarray, "frames rows columns *channels"],
         part: Contribution,
         bricks: Bricks,
-        slot_of: Slots,
+        slot_of: Int[np.ndarray, " numbers"],
         turn: tuple[int, int],
         sign: int,
     ) -> int:
@@ -128,7 +128,7 @@ class GeneralPool:
         frames: Shaped[np.ndarray, "frames rows columns *channels"],
         part: Contribution,
         bricks: Bricks,
-        slot_of: Slots,
+        slot_of: Int[np.ndarray, " numbers"],
         turn: tuple[int, int],
         sign: int,
     ) -> int:

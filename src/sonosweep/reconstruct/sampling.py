@@ -124,7 +124,8 @@ def sampling_of_frames(
     pixel_mm = torch.linalg.vector_norm(pixel_to_image[:3, :2].double(), dim=0).numpy()
     voxel_mm = min(grid.spacing_mm)
     if prefilter == "auto":
-        box = np.maximum(np.floor(voxel_mm / pixel_mm[::-1] + 0.5), 1).astype(np.int64)
+        # A ratio of 1.5 counts as 2 even if rounding made it a little less.
+        box = np.maximum(np.floor(voxel_mm / pixel_mm[::-1] + 0.501), 1).astype(np.int64)
     elif prefilter >= 1:
         box = np.array([prefilter, prefilter], np.int64)
     else:
