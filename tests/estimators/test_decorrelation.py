@@ -20,6 +20,7 @@ MIDDLE_MM = (PIXELS - 1) / 2 * SPACING_MM
 
 SHIFT_MM = 0.02  # an eighth of a pixel; the axial speckle is only 1.6 pixels wide
 TURN_RAD = math.radians(0.15)  # 19 mm field of view at 0.2 mm of elevational distance
+ROUND_OFF = 1e-4  # float32 textures
 SLIDE_PX = 0.03  # the widest slide leaves the fewest patches
 FOLLOWED = 0.99
 REVERSED_MM = 0.01  # searched around other frames, weighted by other fits
@@ -205,7 +206,7 @@ def test_one_frame_is_refused():
     """Motion needs two frames."""
     scan = Scan("one", np.ones((1, 64, 64), np.uint8), Calibration(spacing_mm=(0.2, 0.2)))
 
-    with pytest.raises(ScanError, match="has 1 frame"):
+    with pytest.raises(ScanError, match="'one' has 1"):
         DecorrelationEstimator().estimate(scan)
 
 
@@ -217,14 +218,45 @@ def test_frames_without_spacing_are_refused():
         DecorrelationEstimator().estimate(scan)
 
 
-def test_pixels_that_are_not_numbers_are_refused():
+@pytest.mark.parametrize(("frame", "value"), [(1, np.nan), (2, np.inf), (0, -np.inf)])
+def test_pixels_that_are_not_numbers_are_refused(frame, value):
     """One NaN would spread over the whole patch."""
     frames = np.random.default_rng(0).random((3, 64, 64))
-    frames[1, 5, 5] = np.nan
+    frames[frame, 5, 5] = value
     scan = Scan("holes", frames, Calibration(spacing_mm=(0.2, 0.2)))
 
-    with pytest.raises(ScanError, match="frame 1 of 'holes' holds pixels that are not numbers"):
+    with pytest.raises(ScanError, match=f"frame {frame} .*holds pixels that are not numbers"):
         DecorrelationEstimator().estimate(scan)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_frames_of_one_gray_level_are_refused(dtype):
+    """Flat frames match everywhere, which is no match."""
+    scan = Scan("flat", np.full((4, 64, 64), 90, dtype), Calibration(spacing_mm=(0.2, 0.2)))
+
+    with pytest.raises(ScanError, match=r"speckle in common|same gray level"):
+        DecorrelationEstimator().estimate(scan)
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(256, 0), (-0.0, -60), (16, -2000)])
+def test_gray_levels_may_be_counted_in_any_way(scale, offset):
+    """Twelve bits, decibels below zero and signed levels show the same speckle as bytes."""
+    scan = sweep(straight(1, 6))
+    levels = scan.frames[:].astype(np.float64)
+    span = levels.max() - levels.min()
+    other = levels * (scale or 60 / span) + offset
+    bytes_span = DecorrelationCurve(dynamic_range_db=60 * 255 / span)
+
+    found = DecorrelationEstimator().estimate(replace(scan, frames=other)).motion
+    same = DecorrelationEstimator(bytes_span).estimate(scan).motion
+
+    np.testing.assert_allclose(found, same, atol=ROUND_OFF)
+
+
+def test_baselines_without_neighbors_are_refused():
+    """Steps between neighbors cannot come from longer pairs alone."""
+    with pytest.raises(ScanError, match="baselines must be 1 and larger"):
+        DecorrelationEstimator(baselines=(2, 4))
 
 
 def test_what_lies_outside_the_region_does_not_count():

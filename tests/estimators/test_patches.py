@@ -49,6 +49,7 @@ def test_a_region_moves_the_patches_with_it():
         (blank(20, 300), "20 pixels; motion needs"),
         (blank(100, 100, Region((90, 90, 50, 50))), "10 x 10 pixels"),
         (blank(100, 100, Region((200, 0, 5, 5))), "outside its 100 x 100 frame"),
+        (blank(100, 100, Region((0, 0, 100, 100), np.ones((50, 60), bool))), "mask is 60 x 50"),
         (
             blank(100, 100, Region((0, 0, 100, 100), np.zeros((100, 100), bool))),
             "holds no .* pixels of image",

@@ -6,7 +6,6 @@ the sweep itself: pairs two and four frames apart are two and four times as far 
 other, on average, whatever a millimeter is; the length then says what a millimeter is.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -254,6 +253,7 @@ def _fitted(
     if not np.median(distance_mm) > 1e-3:
         raise ScanError(f"the tracked probe of '{name}' did not move out of plane")
     correlation = np.stack([pair.match.correlation for pair in sweep.pairs])
+    fineness = np.stack([pair.match.fineness_per_mm2 for pair in sweep.pairs])
     known = np.isfinite(correlation)
 
     def curve_of(numbers: np.ndarray) -> DecorrelationCurve:
@@ -271,7 +271,9 @@ def _fitted(
         )
 
     def residual(numbers: np.ndarray) -> np.ndarray:
-        return (_predicted(curve_of(numbers), sweep, distance_mm) - correlation)[known]
+        curve = curve_of(numbers)
+        width = patch_widths(curve, depth_mm, fineness, sweep.usual_per_mm2)
+        return (correlation_at(curve, distance_mm, width) - correlation)[known]
 
     start = np.concatenate(
         (np.full(len(depths), np.log(np.median(distance_mm) * 2)), [1.5, 0.98, 0.5])
@@ -282,19 +284,3 @@ def _fitted(
         residual, np.clip(start, low, high), bounds=(low, high), loss="soft_l1", f_scale=OUTLIER
     )
     return curve_of(fit.x), float(np.sqrt(np.mean(residual(fit.x) ** 2)))
-
-
-def _predicted(
-    curve: DecorrelationCurve, sweep: _Sweep, distance_mm: Iterable[np.ndarray]
-) -> np.ndarray:
-    depth_mm = sweep.grid.centers_mm[:, 1]
-    return np.stack(
-        [
-            correlation_at(
-                curve,
-                distance,
-                patch_widths(curve, depth_mm, pair.match.fineness_per_mm2, sweep.usual_per_mm2),
-            )
-            for pair, distance in zip(sweep.pairs, distance_mm, strict=True)
-        ]
-    )

@@ -43,9 +43,9 @@ def fineness(
 def patch_widths(
     curve: DecorrelationCurve,
     depth_mm: Float[np.ndarray, " patches"],
-    fineness_per_mm2: Float[np.ndarray, " patches"],
+    fineness_per_mm2: Float[np.ndarray, "*pairs patches"],
     usual_per_mm2: Float[np.ndarray, " patches"],
-) -> Float[np.ndarray, " patches"]:
+) -> Float[np.ndarray, "*pairs patches"]:
     """Return the width (mm) of the decorrelation curve that holds for each patch.
 
     Args:

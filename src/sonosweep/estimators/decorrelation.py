@@ -61,6 +61,9 @@ class DecorrelationEstimator(MotionEstimator):
         patches_across: Patches, side by side, along the longer side of the image.
         turn_std_rad: How much pitch and yaw of a step are expected to be; larger follows
             real tilts better and drifts more.
+
+    Raises:
+        ScanError: If neighboring frames are not among the pairs.
     """
 
     def __init__(
@@ -70,6 +73,8 @@ class DecorrelationEstimator(MotionEstimator):
         patches_across: float = 8.0,
         turn_std_rad: float = TURN_STD_RAD,
     ) -> None:
+        if 1 not in baselines or min(baselines) < 1:
+            raise ScanError(f"baselines must be 1 and larger counts of frames, got {baselines}")
         self.curve = curve or DecorrelationCurve()
         self.baselines = tuple(sorted(set(baselines)))
         self.patches_across = patches_across
@@ -83,7 +88,7 @@ class DecorrelationEstimator(MotionEstimator):
                 without speckle.
         """
         if len(scan.frames) < 2:
-            raise ScanError(f"'{scan.name}' has {len(scan.frames)} frame; motion needs two")
+            raise ScanError(f"motion needs 2 frames or more, '{scan.name}' has {len(scan.frames)}")
         grid = patch_grid(scan, self.patches_across)
         matcher = PairMatcher(scan, grid, self.curve.dynamic_range_db, max(self.baselines) + 1)
         usual = usual_fineness(self.curve, grid, matcher)

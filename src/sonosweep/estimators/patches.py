@@ -68,7 +68,8 @@ def patch_grid(scan: Scan, patches_across: float = 8.0) -> PatchGrid:
         )
     mask, rectangle = _region(scan)
     column, row, width, height = rectangle
-    side = max(SMALLEST_PATCH_PX, 2 * round(max(width, height) / (2 * patches_across)))
+    side = 2 * round(max(width, height) / (2 * patches_across))
+    side = max(SMALLEST_PATCH_PX, min(side, min(width, height) // 3))
     if min(width, height) < 2 * side:
         raise ScanError(
             f"the image of '{scan.name}' is {width} x {height} pixels; motion needs at least"
@@ -95,6 +96,11 @@ def _region(scan: Scan) -> tuple[np.ndarray, tuple[int, int, int, int]]:
         raise ScanError(f"the region of '{scan.name}' lies outside its {columns} x {rows} frame")
     if scan.region.mask is None:
         return np.ones((height, width), dtype=bool), (column, row, width, height)
+    if scan.region.mask.shape != (rows, columns):
+        raise ScanError(
+            f"the region's mask is {scan.region.mask.shape[1]} x {scan.region.mask.shape[0]}"
+            f" pixels, the frames of '{scan.name}' are {columns} x {rows}"
+        )
     mask = scan.region.mask[row : row + height, column : column + width]
     return np.ascontiguousarray(mask), (column, row, width, height)
 

@@ -25,20 +25,25 @@ SOFTEST = 1e-6
 
 
 def full_scale(frames: Frames) -> float:
-    """Return the gray level of the brightest pixel the scanner can show.
+    """Return how many gray levels lie between black and white.
 
-    255 for bytes; for other types the largest value of some frames of the stack.
+    255 for bytes; for other types between the darkest and the brightest pixel of some
+    frames of the stack, wherever black lies.
 
     Raises:
-        ScanError: If these frames hold nothing above zero.
+        ScanError: If these frames hold one level only, or no numbers.
     """
     if frames.dtype == np.uint8:
         return 255.0
     chosen = np.unique(np.linspace(0, len(frames) - 1, SAMPLED_FRAMES).astype(int))
-    largest = max(float(np.nanmax(frames[int(i)], initial=0)) for i in chosen)
-    if not (math.isfinite(largest) and largest > 0):
-        raise ScanError(f"frames without any brightness: their largest value is {largest:g}")
-    return largest
+    some = [np.asarray(frames[int(index)], dtype=np.float64) for index in chosen]
+    span = max(float(frame.max()) for frame in some) - min(float(frame.min()) for frame in some)
+    if math.isnan(span) or math.isinf(span):
+        first = next(i for i, f in zip(chosen, some, strict=True) if not np.isfinite(f).all())
+        raise ScanError(f"frame {first} holds pixels that are not numbers")
+    if not span > 0:
+        raise ScanError(f"all pixels of the frames have the same gray level, {some[0].flat[0]:g}")
+    return span
 
 
 class TextureFilter:
