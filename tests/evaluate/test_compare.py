@@ -174,6 +174,20 @@ def test_landmarks_are_passed_on():
     assert found.tusrec.global_landmark_error_mm == pytest.approx(1)
 
 
+def test_landmarks_need_the_scan_s_own_frames():
+    """A landmark names a frame; matched by time, the estimate's frames have other numbers."""
+    times = torch.arange(2, dtype=torch.float64)
+    scan = replace(scan_of(straight(0.0, 1)), timestamps_s=times)
+
+    with pytest.raises(ScanError, match="match by number"):
+        compare_trajectories(
+            Trajectory(straight(0.0, 2), times),
+            scan,
+            match="time",
+            landmarks=torch.tensor([[1, 4, 5]]),
+        )
+
+
 def test_what_cannot_be_compared():
     """What is missing is named, with the scan."""
     scan = scan_of(straight(0.0, 1, 2))

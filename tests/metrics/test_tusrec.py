@@ -84,7 +84,7 @@ def test_gauss_points_agree_with_every_pixel_of_a_full_frame(estimated, true):
 def test_errors_are_the_distances_of_the_exported_fields(estimated, true, chunk):
     """What is exported for the challenge's own scorer has the errors we report."""
     rows, columns, spacing = 20, 30, (0.3, 0.2)
-    landmarks = torch.tensor([[1, 1, 1], [5, 30, 20], [3, 7, 11]])
+    landmarks = torch.tensor([[1, 0, 0], [5, 29, 19], [3, 6, 10]])
 
     found = tusrec_errors(estimated, true, rows, columns, spacing, landmarks)
 
@@ -99,13 +99,13 @@ def test_errors_are_the_distances_of_the_exported_fields(estimated, true, chunk)
             distance.mean(), abs=SINGLE_PRECISION_MM
         )
         at_landmarks = [
-            distance[f - 1, (y - 1) * columns + x - 1] for f, x, y in landmarks.tolist()
+            distance[f - 1, row * columns + column] for f, column, row in landmarks.tolist()
         ]
         assert getattr(found, f"{scope}_landmark_error_mm") == pytest.approx(
             np.mean(at_landmarks), abs=SINGLE_PRECISION_MM
         )
         points = landmark_displacements(estimated, landmarks, rows, columns, spacing, scope)
-        expected = np.stack([a[f - 1, :, (y - 1) * columns + x - 1] for f, x, y in landmarks], -1)
+        expected = np.stack([a[f - 1, :, row * columns + col] for f, col, row in landmarks], -1)
         np.testing.assert_allclose(points, expected, atol=SINGLE_PRECISION_MM)
 
 
@@ -134,7 +134,7 @@ def test_worked_example():
         480,
         640,
         SPACING,
-        torch.tensor([[2, 640, 480]]),
+        torch.tensor([[2, 639, 479]]),
     )
 
     assert found.local_pixel_error_mm == pytest.approx(1.5)
@@ -166,12 +166,12 @@ def test_score_is_one_for_the_truth_and_zero_at_rest():
         tusrec_score(tusrec_errors(true, true, 20, 30, (1.0, 1.0)), rest)
 
 
-@pytest.mark.parametrize("landmark", [[0, 5, 5], [3, 5, 5], [1, 0, 5], [1, 31, 5], [1, 5, 21]])
+@pytest.mark.parametrize("landmark", [[0, 5, 5], [3, 5, 5], [1, -1, 5], [1, 30, 5], [1, 5, 20]])
 def test_landmarks_outside_the_scan(landmark):
-    """Frame 0 does not move, and pixels are counted from 1: anything else is refused."""
+    """Frame 0 does not move, and pixels are counted from 0: anything else is refused."""
     true = moved([0, 0, 0], [0, 0, 1], [0, 0, 3])
 
-    with pytest.raises(ScanError, match=r"landmark 0 .* frame from 1 to 2, x from 1 to 30"):
+    with pytest.raises(ScanError, match=r"landmark 0 .* frame from 1 to 2, a column from 0 to 29"):
         tusrec_errors(true, true, 20, 30, (1.0, 1.0), torch.tensor([landmark]))
 
 

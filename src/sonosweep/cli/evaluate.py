@@ -9,6 +9,8 @@ from sonosweep.cli.inputs import OUTPUT, Force, InputOptions, Json, read
 from sonosweep.errors import FormatError
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from sonosweep.scan import Trajectory
 
 
@@ -23,6 +25,8 @@ def evaluate(
     json: Json = False,
 ) -> None:
     """Compare an estimated trajectory with the tracked poses of the scan it came from.
+
+    The landmarks of a TUS-REC scan count too if they lie in the folders above it.
 
     Args:
         estimated: Trajectory (.csv, TUM, .igs.mha, .tfm), or a folder that `reconstruct` wrote.
@@ -42,7 +46,8 @@ def evaluate(
     paths = _outputs(output)
     for path in paths:
         check_free(path, force)
-    result = compare_trajectories(_trajectory(estimated), locate(read(tracked, inputs)))
+    scan = locate(read(tracked, inputs))
+    result = compare_trajectories(_trajectory(estimated), scan, landmarks=_landmarks(tracked))
     row = comparison_row(result)
     for path in paths:
         if path.suffix.lower() == ".csv":
@@ -66,3 +71,14 @@ def _trajectory(path: Path) -> "Trajectory":
     from sonosweep.io import read_trajectory
 
     return read_trajectory(path / "trajectory.csv" if path.is_dir() else path)
+
+
+def _landmarks(scan: Path) -> "Tensor | None":
+    """Return the landmarks of a TUS-REC scan; ``None`` for others and where there are none."""
+    from sonosweep.io.hdf5_access import hdf5_holds
+    from sonosweep.io.tusrec import find_tusrec_landmarks, is_tusrec, read_tusrec_landmarks
+
+    if not (scan.is_file() and is_tusrec(scan)):
+        return None
+    file = find_tusrec_landmarks(scan)
+    return read_tusrec_landmarks(scan, file) if file and hdf5_holds(file, scan.stem) else None

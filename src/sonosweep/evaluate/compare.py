@@ -80,7 +80,7 @@ def compare_trajectories(
     points_mm: Float[Tensor, "points xyz=3"] | None = None,
     match: Match | None = None,
     max_gap_s: float | None = None,
-    landmarks: Int[Tensor, "landmarks frame_x_y=3"] | None = None,
+    landmarks: Int[Tensor, "landmarks frame_column_row=3"] | None = None,
 ) -> TrajectoryComparison:
     """Return how far an estimated trajectory is from a tracked one.
 
@@ -93,15 +93,17 @@ def compare_trajectories(
             ``None``, by number if there are as many, else by time.
         max_gap_s: Longest time between two tracked poses to interpolate over; 2.5 times
             their usual distance when ``None``.
-        landmarks: Of the challenge, for its landmark errors: (frame, x, y).
+        landmarks: For the challenge's landmark errors: (frame, column, row), from 0.
 
     Raises:
-        ScanError: If the scan has no poses or no pixel spacing, or the two cannot be
-            matched.
+        ScanError: If the scan has no poses or no pixel spacing, the two cannot be matched,
+            or landmarks, which name frames, come with a match by time.
     """
     name = true.name if isinstance(true, Scan) else true.method
     points, described = _points(true, points_mm)
     matched_by = match or _choose_match(estimated, true, name)
+    if landmarks is not None and matched_by == "time":
+        raise ScanError(f"landmarks name frames of '{name}': match by number, not by time")
     if matched_by == "count":
         poses, tracked = _poses_by_count(estimated, true, name)
     else:

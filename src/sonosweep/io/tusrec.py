@@ -149,16 +149,24 @@ def read_tusrec_landmarks(
     """
     scan = Path(scan_path)
     if landmarks is None:
-        name = f"landmark_{scan.parent.name}.h5"
-        found = [find_above(scan, f"{folder}/{name}") for folder in ("landmarks", "landmark")]
-        landmarks = next((path for path in found if path is not None), None)
+        landmarks = find_tusrec_landmarks(scan)
         if landmarks is None:
-            raise FormatError(f"no landmarks/{name} in the folders above '{scan}'")
+            raise FormatError(
+                f"no landmarks/landmark_{scan.parent.name}.h5 in the folders above '{scan}'"
+            )
     with open_hdf5(landmarks) as file:
         counted = read_array(file, scan.stem, (None, 3))
     if not np.isfinite(counted).all() or (np.abs(counted) > 2**31).any():
         raise FormatError(f"the landmarks of '{scan.stem}' are not all whole numbers")
     return torch.from_numpy(counted).to(torch.int64) - torch.tensor([0, 1, 1])
+
+
+def find_tusrec_landmarks(scan_path: str | os.PathLike) -> Path | None:
+    """Return the landmark file of a scan's subject in the folders above; ``None`` if absent."""
+    scan = Path(scan_path)
+    name = f"landmark_{scan.absolute().parent.name}.h5"
+    found = [find_above(scan, f"{folder}/{name}") for folder in ("landmarks", "landmark")]
+    return next((path for path in found if path is not None), None)
 
 
 def write_tusrec(scan: Scan, folder: str | os.PathLike) -> Path:

@@ -2,7 +2,9 @@
 
 *Global* is the displacement of a pixel from frame 0 to frame i, *local* that from frame
 i - 1 to frame i; both are seen from the earlier frame, in image mm. Frame 0 has none, so N
-frames give N - 1 fields. Landmarks are rows of (frame from 0, x from 1, y from 1).
+frames give N - 1 fields. Landmarks are rows of (frame, column, row), all counted from 0 as
+:func:`sonosweep.io.tusrec.read_tusrec_landmarks` gives them; the challenge's files count
+columns and rows from 1.
 """
 
 from collections.abc import Iterator
@@ -50,7 +52,7 @@ def tusrec_errors(
     rows: int,
     columns: int,
     spacing_mm: tuple[float, float],
-    landmarks: Int[Tensor, "landmarks frame_x_y=3"] | None = None,
+    landmarks: Int[Tensor, "landmarks frame_column_row=3"] | None = None,
 ) -> TusrecErrors:
     """Return GPE, GLE, LPE and LLE of one scan.
 
@@ -60,7 +62,7 @@ def tusrec_errors(
         rows: Height of a frame; 480 in the challenge.
         columns: Width of a frame; 640 in the challenge.
         spacing_mm: Distance between neighbouring columns and rows.
-        landmarks: Frame (from 1 on: frame 0 does not move), x and y (counted from 1).
+        landmarks: Frame (not 0, which does not move), column and row, counted from 0.
 
     Raises:
         ScanError: If the counts differ, there is one frame only, or a landmark lies in no
@@ -184,7 +186,7 @@ def displacement_fields(
 
 def landmark_displacements(
     image_to_reference: Float[Tensor, "frames 4 4"],
-    landmarks: Int[Tensor, "landmarks frame_x_y=3"],
+    landmarks: Int[Tensor, "landmarks frame_column_row=3"],
     rows: int,
     columns: int,
     spacing_mm: tuple[float, float],
@@ -213,15 +215,16 @@ def _landmark_points(
     landmarks: Tensor, frames: int, rows: int, columns: int, spacing_mm: tuple[float, float]
 ) -> tuple[Tensor, Tensor]:
     """Return the frame of each landmark and its place in image mm."""
-    lowest = torch.tensor([1, 1, 1])
-    highest = torch.tensor([frames - 1, columns, rows])
+    lowest = torch.tensor([1, 0, 0])
+    highest = torch.tensor([frames - 1, columns - 1, rows - 1])
     wrong = ((landmarks < lowest) | (landmarks > highest)).any(-1)
     if bool(wrong.any()):
         row = int(wrong.nonzero()[0])
         raise ScanError(
-            f"landmark {row} is (frame, x, y) = {tuple(landmarks[row].tolist())}; expected a"
-            f" frame from 1 to {frames - 1}, x from 1 to {columns} and y from 1 to {rows}"
+            f"landmark {row} is (frame, column, row) = {tuple(landmarks[row].tolist())}; expected"
+            f" a frame from 1 to {frames - 1}, a column from 0 to {columns - 1} and a row from 0"
+            f" to {rows - 1}"
         )
     place = torch.zeros(len(landmarks), 3, dtype=torch.float64)
-    place[:, :2] = (landmarks[:, 1:] - 1) * torch.tensor(spacing_mm, dtype=torch.float64)
+    place[:, :2] = landmarks[:, 1:] * torch.tensor(spacing_mm, dtype=torch.float64)
     return landmarks[:, 0], place
