@@ -82,6 +82,44 @@ def test_the_papers_crop_and_size():
     assert small.region.rectangle_px == (0, 0, 256, 256)
 
 
+@pytest.mark.parametrize(
+    ("rectangle", "left"),
+    [((10, 10, 150, 80), (10, 20, 50, 40)), ((40, 50, 100, 50), (0, 0, 30, 20))],
+)
+def test_a_crop_does_not_make_the_region_larger(rectangle, left):
+    """What lay outside the region and is kept still lies outside it."""
+    mask = np.zeros((100, 200), bool)
+    mask[30:70, 20:70] = True
+    scan = Scan("x", np.zeros((1, 100, 200), np.uint8), region=Region((20, 30, 50, 40), mask))
+
+    region = crop_scan(scan, rectangle).region
+
+    assert region.rectangle_px == left
+    column, row, width, height = left
+    inside = np.zeros(rectangle[:1:-1], bool)
+    inside[row : row + height, column : column + width] = True
+    assert np.array_equal(region.mask, inside)
+
+
+def test_a_crop_beside_the_region_has_none():
+    """Nothing is known of where the image is in a crop of the border."""
+    scan = Scan("x", np.zeros((1, 9, 9), np.uint8), region=Region((0, 0, 4, 4)))
+
+    assert crop_scan(scan, (4, 0, 5, 9)).region is None
+
+
+@given(st.integers(0, 11), st.integers(0, 15), st.integers(1, 30), st.integers(1, 30))
+def test_a_resized_region_stays_within_the_frame(column, row, width, height):
+    """However small the frame becomes, the region keeps a pixel of it."""
+    region = Region((column, row, 12 - column, 16 - row))
+    scan = Scan("x", np.zeros((1, 16, 12), np.uint8), region=region)
+
+    x, y, w, h = resample_scan(scan, width, height).region.rectangle_px
+
+    assert 0 <= x < x + w <= width
+    assert 0 <= y < y + h <= height
+
+
 def test_companions_follow_the_image_origin():
     """A companion's place in the image changes by what was cut off."""
     frames = np.zeros((1, 8, 8), np.uint8)

@@ -20,7 +20,8 @@ def crop_scan(scan: Scan, rectangle_px: tuple[int, int, int, int]) -> Scan:
     """Return the scan with only a rectangle of each frame.
 
     The image origin moves to the new first pixel, and poses, calibration and companions
-    follow, so that every pixel that is kept stays where it was.
+    follow, so that every pixel that is kept stays where it was. Of the region that part
+    remains which lies in the rectangle; if there is none, the scan has no region.
 
     Args:
         scan: What was recorded.
@@ -34,13 +35,10 @@ def crop_scan(scan: Scan, rectangle_px: tuple[int, int, int, int]) -> Scan:
     inside = column >= 0 and row >= 0 and column + width <= columns and row + height <= rows
     if not inside or min(width, height) < 1:
         raise ScanError(f"crop {rectangle_px} does not fit a frame of {columns} x {rows} pixels")
-    mask = None
-    if scan.region is not None and scan.region.mask is not None:
-        mask = scan.region.mask[row : row + height, column : column + width]
     cropped = replace(
         scan,
         frames=FrameView(scan.frames, rectangle_px=rectangle_px),
-        region=None if scan.region is None else Region((0, 0, width, height), mask),
+        region=None if scan.region is None else _crop_region(scan.region, rectangle_px),
     )
     if scan.calibration is None:
         return cropped
@@ -129,11 +127,27 @@ def resize_frame(frame: np.ndarray, width: int, height: int) -> np.ndarray:
     return resized.astype(frame.dtype)
 
 
+def _crop_region(region: Region, rectangle_px: tuple[int, int, int, int]) -> Region | None:
+    """Return the part of the region within a rectangle, counted from its corner."""
+    column, row, width, height = rectangle_px
+    x, y, region_width, region_height = region.rectangle_px
+    left, top = max(x - column, 0), max(y - row, 0)
+    right = min(x + region_width - column, width)
+    bottom = min(y + region_height - row, height)
+    if left >= right or top >= bottom:
+        return None
+    mask = None
+    if region.mask is not None:
+        mask = region.mask[row : row + height, column : column + width]
+    return Region((left, top, right - left, bottom - top), mask)
+
+
 def _resize_region(region: Region, old: tuple[int, int], new: tuple[int, int]) -> Region:
-    """Return the region on frames of another size, no larger than it was."""
+    """Return the region on frames of another size, no larger than it was but one pixel at least."""
     scale = (new[0] / old[0], new[1] / old[1])
     column, row, width, height = region.rectangle_px
-    left, top = int(np.ceil(column * scale[0])), int(np.ceil(row * scale[1]))
+    left = min(int(np.ceil(column * scale[0])), new[0] - 1)
+    top = min(int(np.ceil(row * scale[1])), new[1] - 1)
     right, bottom = int((column + width) * scale[0]), int((row + height) * scale[1])
     mask = None
     if region.mask is not None:
