@@ -160,7 +160,7 @@ def _two_digits(value: float) -> float:
 
 def _pixel_to_image(scan: Scan) -> Float[Tensor, "4 4"]:
     if scan.calibration is None:
-        reason = scan.notes.get("spacing", "the file does not say")
+        reason = scan.notes.get("calibration", "the file does not say")
         raise ScanError(
             f"the pixel size of '{scan.name}' is not known ({reason}): give it with"
             " --pixel-spacing LATERAL AXIAL in mm"
