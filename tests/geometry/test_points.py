@@ -86,6 +86,20 @@ def test_interpolation_keeps_the_samples(samples):
     assert_close(found, expected, atol=SQRT_ROUND_OFF_MM, rtol=0)
 
 
+@given(poses(6))
+def test_interpolation_takes_several_tools_at_once(samples):
+    """Poses of two tools seen at the same times come out as each would alone."""
+    times = torch.tensor([0.0, 1.0, 3.0], dtype=torch.float64)
+    asked = torch.tensor([0.3, 2.0], dtype=torch.float64)
+    tools = samples.reshape(2, 3, 4, 4)
+
+    found = interpolate_poses(times, tools, asked)
+
+    alone = torch.stack([interpolate_poses(times, tool, asked) for tool in tools])
+    assert torch.equal(found, alone)
+    assert interpolate_poses(times[:1], tools[:, :1], asked).shape == (2, 2, 4, 4)
+
+
 def test_interpolation_worked_example():
     """Half-way between rest and a quarter turn 2 mm further is an eighth turn at 1 mm."""
     axis = torch.tensor([0.0, 0.0, math.pi / 2], dtype=torch.float64)

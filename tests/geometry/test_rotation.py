@@ -26,6 +26,7 @@ from sonosweep.geometry import (
 from ..strategies import poses
 
 ROUND_OFF = 1e-12  # float64 on entries of about 1, a few dozen operations
+SINGLE_ROUND_OFF = 1e-6  # float32 on entries of about 1
 HALF_TURN_ROUND_OFF = 1e-7  # near half a turn the vector's sign and digits are ill-posed
 ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 
@@ -106,6 +107,18 @@ def test_gradient_at_the_identity(convert):
     vector = torch.zeros(3, dtype=torch.float64, requires_grad=True)
 
     assert torch.autograd.gradcheck(convert, (vector,))
+
+
+@pytest.mark.parametrize("length", [1e-6, 2e-4, 1e-3, 1e-2])
+def test_gradient_of_small_turns_in_single_precision(length):
+    """Training runs in float32: the derivative of a turn of a millirad keeps its digits."""
+    direction = torch.tensor([0.6, -0.48, 0.64], dtype=torch.float64)
+    exact, single = (
+        torch.autograd.functional.jacobian(rotation_from_vector, (length * direction).to(dtype))
+        for dtype in (torch.float64, torch.float32)
+    )
+
+    assert_close(single.double(), exact, atol=SINGLE_ROUND_OFF, rtol=0)
 
 
 def test_gradient_of_the_way_back_at_the_identity():

@@ -90,7 +90,10 @@ def rotation_from_vector(
     safe = torch.where(small, torch.ones_like(squared), squared)
     angle = torch.sqrt(safe)
     sin_over = torch.where(small, 1 - squared / 6, torch.sin(angle) / angle)
-    versine_over = torch.where(small, 0.5 - squared / 24, (1 - torch.cos(angle)) / safe)
+    # 1 - cos as the square of a sine: of small angles cos leaves no digits in float32.
+    versine_over = torch.where(
+        small, 0.5 - squared / 24, 0.5 * (torch.sin(angle / 2) / (angle / 2)) ** 2
+    )
     cross = skew(vector_rad)
     identity = torch.eye(3, dtype=vector_rad.dtype, device=vector_rad.device)
     return (
