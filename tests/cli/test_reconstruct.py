@@ -5,11 +5,14 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from sonosweep.io import read_trajectory, read_volume
+from sonosweep.io.hdf5 import read_scan, write_scan
 
 OUTPUTS = {
     "coverage.nrrd",
@@ -48,6 +51,21 @@ def test_sensorless_sweep_tells_how_far_it_is_off(run, sweep, tmp_path):
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["scan"] == "speckle"
     trajectory = read_trajectory(tmp_path / "out" / "trajectory.csv")
     assert len(trajectory.image_to_reference) == 12
+
+
+@pytest.mark.parametrize("seen", [0, 1])
+def test_a_tracker_that_hardly_saw_the_sweep_stops_nothing(run, sweep, tmp_path, seen):
+    """With fewer than two tracked frames there is nothing to compare, and still a volume."""
+    scan = read_scan(sweep)
+    tracked = torch.arange(len(scan.frames)) < seen
+    poses = torch.where(tracked[:, None, None], scan.image_to_reference, torch.nan)
+    write_scan(replace(scan, image_to_reference=poses, tracked=tracked), tmp_path / "lost.h5")
+
+    ran = run("reconstruct", tmp_path / "lost.h5", "-o", "out", "--json")
+
+    assert ran.code == 0, ran.error
+    assert json.loads(ran.out)["runs"][0]["metrics"] == {}
+    assert (tmp_path / "out" / "volume.nrrd").is_file()
 
 
 def test_backward_is_the_mirror_of_forward(run, sweep, tmp_path):

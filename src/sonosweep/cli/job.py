@@ -132,7 +132,8 @@ def compare_run(
 ) -> tuple[ReportRun, tuple[str, ...]]:
     """Return a run for the report, and how far it is from the tracker if there is one."""
     run = report_run(name, trajectory, volumes)
-    if scan.image_to_reference is None or len(scan.frames) < 2:
+    tracked = len(scan.frames) if scan.tracked is None else int(scan.tracked.sum())
+    if scan.image_to_reference is None or tracked < 2:
         return run, ()
     found = compare_trajectories(trajectory, scan)
     metrics = {key: (value, unit_of(key)) for key, value in found.metrics.as_dict().items()}
