@@ -12,7 +12,7 @@ from sonosweep.errors import FormatError, ScanError
 from sonosweep.io import open_scan, write_scan_as
 from sonosweep.io.attach_poses import attach_poses
 from sonosweep.io.trajectory_text import write_trajectory_csv, write_tum
-from sonosweep.scan import Calibration, Scan, Trajectory
+from sonosweep.scan import Calibration, FrameView, Scan, Trajectory
 
 from ..strategies import scans
 
@@ -88,7 +88,10 @@ def test_frames_in_a_gap_have_no_pose(tmp_path, frames):
     scan = attach_poses(frames, tmp_path / "tracker.txt")
 
     assert scan.tracked.tolist() == [True] * 4 + [False] * 4 + [True] * 2
-    assert scan.notes["matching"] == "matched by time; 4 of 10 frames have no pose"
+    assert scan.notes["matching"] == (
+        "matched by time: 4 of 10 frames have no pose (between frames 4 and 7); the longest gap"
+        " between tracker samples is 0.217 s"
+    )
 
 
 def test_a_frame_column_says_where_poses_belong(tmp_path, frames):
@@ -171,3 +174,70 @@ def write_probe_sequence(path, frames):
         ]
     header = "\n".join([*rows, "ElementDataFile = LOCAL", ""])
     path.write_bytes(header.encode() + bytes(24 * frames))
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.dcm", "images"])
+@pytest.mark.parametrize("timed", [True, False])
+def test_poses_stay_with_their_frames_where_the_tracker_missed_some(tmp_path, frames, name, timed):
+    """The csv beside pixels says whose poses it holds: no frame gets its neighbour's."""
+    seen = torch.tensor([True, True, False, False, True, True, True, False, True, True])
+    poses = slide(frames.timestamps_s).image_to_reference
+    poses[~seen] = torch.nan
+    times = frames.timestamps_s if timed else None
+    scan = replace(frames, timestamps_s=times, image_to_reference=poses, tracked=seen)
+    _, beside = write_scan_as(scan, tmp_path / name)
+
+    again = open_scan(tmp_path / name, pose_file=beside, spacing_mm=(0.1, 0.1))
+
+    assert torch.equal(again.tracked, seen)
+    assert_close(again.image_to_reference[seen], poses[seen], atol=ROUND_OFF_MM, rtol=0)
+
+
+def test_a_folder_that_we_wrote_is_replaced_with_its_poses(tmp_path, frames):
+    """No frame and no pose of the older scan stays among the newer ones."""
+    poses = slide(frames.timestamps_s).image_to_reference
+    write_scan_as(replace(frames, image_to_reference=poses), tmp_path / "out")
+    fewer = replace(frames, frames=np.ones((4, 8, 8), np.uint8), timestamps_s=None)
+
+    write_scan_as(fewer, tmp_path / "out")
+
+    again = open_scan(tmp_path / "out")
+    assert len(again.frames) == 4
+    assert again.image_to_reference is None
+    assert {path.name for path in tmp_path.iterdir()} == {"out"}
+
+
+def test_a_folder_with_files_of_others_is_left_alone(tmp_path, frames):
+    """Images that we did not write are never removed."""
+    write_scan_as(frames, tmp_path / "out")
+    (tmp_path / "out" / "scan1.png").write_bytes(b"mine")
+
+    with pytest.raises(FormatError, match="other files, such as 'scan1.png'"):
+        write_scan_as(frames, tmp_path / "out")
+
+    assert (tmp_path / "out" / "scan1.png").read_bytes() == b"mine"
+
+
+def test_a_folder_of_images_is_whole_or_not_there(tmp_path, frames):
+    """Frames that cannot be read half-way leave nothing behind."""
+
+    class Breaking(FrameView):
+        """Frames of which the seventh is lost."""
+
+        def _read(self, source):
+            if source == 6:
+                raise FormatError("frame 6 is damaged")
+            return super()._read(source)
+
+    with pytest.raises(FormatError, match="frame 6"):
+        write_scan_as(replace(frames, frames=Breaking(frames.frames)), tmp_path / "out")
+
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_folder_where_one_is_has_a_name(tmp_path, frames, monkeypatch):
+    """A scan read as ``.`` is called like its folder."""
+    write_scan_as(frames, tmp_path / "sweep7")
+    monkeypatch.chdir(tmp_path / "sweep7")
+
+    assert open_scan(".").name == "sweep7"

@@ -108,8 +108,7 @@ def _poses_of_frames(
         matched, tracked, report = match_poses(
             samples.timestamps_s, poses, scan.timestamps_s, latency_s, max_gap_s
         )
-        note = f"matched by time; {report.without_pose} of {frames} frames have no pose"
-        return matched, tracked, {"matching": note}
+        return matched, tracked, {"matching": f"matched by time: {report}"}
     if frames != len(poses):
         raise ScanError(
             f"{frames} frames in '{scan.name}' but {len(poses)} poses in '{file_name}', and"
