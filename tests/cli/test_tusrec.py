@@ -38,9 +38,8 @@ def challenge_errors(true, estimated, landmarks) -> dict[str, float]:
     column, row = np.meshgrid(np.arange(1, COLUMNS + 1), np.arange(1, ROWS + 1))
     ones = np.ones(column.size)
     pixels = S @ np.stack([column.ravel(), row.ravel(), 0 * ones, ones])
-    places = (
-        S @ np.column_stack([landmarks[:, 1:], np.zeros(len(landmarks)), landmarks[:, 0] > 0]).T
-    )
+    count = len(landmarks)
+    places = S @ np.column_stack([landmarks[:, 1:], np.zeros(count), np.ones(count)]).T
     errors = {}
     for scope, before in (("global", lambda _: 0), ("local", lambda i: i - 1)):
         gap = np.stack(
@@ -90,10 +89,9 @@ def data_set(tmp_path, landmarks):
 
 def test_evaluate_gives_the_challenge_s_four_errors(run, data_set, landmarks, tmp_path):
     """GPE, GLE, LPE and LLE from the command line are those of the challenge's formulas."""
-    image_to_camera = tool_poses(2) @ C  # moved by one pixel of (0, 0) to (1, 1), which S scales
-    first_pixel = np.eye(4)
+    first_pixel = np.eye(4)  # our image coordinates start at the challenge's pixel (1, 1)
     first_pixel[:3, 3] = (S @ [1, 1, 0, 0])[:3]
-    estimate = Trajectory(torch.from_numpy(image_to_camera @ first_pixel))
+    estimate = Trajectory(torch.from_numpy(tool_poses(2) @ C @ first_pixel))
     write_trajectory(estimate, tmp_path / "estimate.csv")
 
     ran = run("evaluate", tmp_path / "estimate.csv", data_set, "--json")
