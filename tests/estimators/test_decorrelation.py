@@ -9,7 +9,7 @@ import torch
 
 from sonosweep.errors import ScanError
 from sonosweep.estimators.decorrelation import DecorrelationEstimator
-from sonosweep.estimators.decorrelation_curve import DecorrelationCurve
+from sonosweep.estimators.decorrelation_curve import DecorrelationCurve, curve_from_speckle
 from sonosweep.geometry import step_from_motion, transform_points
 from sonosweep.scan import Calibration, Region, Scan
 from tests.estimators.speckle import AMPLITUDE_WIDTH_MM, SPACING_MM, sweep
@@ -247,10 +247,37 @@ def test_gray_levels_may_be_counted_in_any_way(scale, offset):
     other = levels * (scale or 60 / span) + offset
     bytes_span = DecorrelationCurve(dynamic_range_db=60 * 255 / span)
 
-    found = DecorrelationEstimator().estimate(replace(scan, frames=other)).motion
+    found = (
+        DecorrelationEstimator(DecorrelationCurve()).estimate(replace(scan, frames=other)).motion
+    )
     same = DecorrelationEstimator(bytes_span).estimate(scan).motion
 
     np.testing.assert_allclose(found, same, atol=ROUND_OFF)
+
+
+def test_without_a_curve_the_speckle_is_the_ruler():
+    """The same frames with pixels twice as large show twice the distance: nothing else is known."""
+    scan = sweep(straight(1, 9))
+    x_mm, y_mm = scan.calibration.spacing_mm
+    twice = replace(scan, calibration=Calibration(spacing_mm=(2 * x_mm, 2 * y_mm)))
+
+    small = DecorrelationEstimator().estimate(scan).motion[:, 2].sum()
+    large = DecorrelationEstimator().estimate(twice).motion[:, 2].sum()
+
+    # The prior on turns is in degrees and stays, so this is no exact law.
+    assert float(large / small) == pytest.approx(2, rel=0.05)
+
+
+def test_the_guess_is_that_of_a_linear_array():
+    """Speckle as fine as an L11-5v's gives the width that its beam has."""
+    lateral_mm = 0.29 / np.sqrt(2)  # 1/e of the amplitude: that of the echo squared
+    depth_mm, fineness = np.array([5.0, 10.0, 10.0]), np.full(3, 2 / lateral_mm**2)
+
+    curve = curve_from_speckle(depth_mm, fineness)
+
+    assert curve.depth_mm == (5.0, 10.0)
+    assert curve.width_mm == pytest.approx((0.42, 0.42), abs=0.005)  # two printed digits
+    assert curve.source == "guess"
 
 
 def test_baselines_without_neighbors_are_refused():

@@ -37,8 +37,18 @@ def calibrate(
     curve = estimators.calibrate(recorded, length_mm=length_mm)
     estimators.write_curve(curve, output)
     source = "tracked poses" if length_mm is None else f"a length of {length_mm:g} mm"
+    widths = " to ".join(
+        f"{width:.2g}" for width in sorted({min(curve.width_mm), max(curve.width_mm)})
+    )
     say(
-        f"{recorded.name}: decorrelation curve from {source} -> {output}",
-        {"scan": recorded.name, "source": source, "output": output},
+        f"{recorded.name}: decorrelation curve from {source}, width {widths} mm -> {output}",
+        {
+            "scan": recorded.name,
+            "source": source,
+            "depth_mm": curve.depth_mm,
+            "width_mm": curve.width_mm,
+            "quality": curve.quality,
+            "output": output,
+        },
         json,
     )

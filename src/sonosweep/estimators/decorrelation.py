@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from sonosweep.errors import ScanError
 from sonosweep.estimators.coherence import patch_widths
-from sonosweep.estimators.decorrelation_curve import DecorrelationCurve
+from sonosweep.estimators.decorrelation_curve import DecorrelationCurve, curve_from_speckle
 from sonosweep.estimators.estimator import MotionEstimate, MotionEstimator, Progress
 from sonosweep.estimators.fusion import PairMotion, fuse_pairs
 from sonosweep.estimators.matching import MatchedPair, PairMatcher, matched_pairs
@@ -56,7 +56,8 @@ class DecorrelationEstimator(MotionEstimator):
     """Estimates motion from speckle without training.
 
     Args:
-        curve: From ``sonosweep calibrate``; ``None`` guesses one, and the result says so.
+        curve: From ``sonosweep calibrate``; ``None`` guesses one from the size of the
+            speckle, and the result says so.
         baselines: Frames from one to the other of a pair.
         patches_across: Patches, side by side, along the longer side of the image.
         turn_std_rad: How much pitch and yaw of a step are expected to be; larger follows
@@ -75,7 +76,7 @@ class DecorrelationEstimator(MotionEstimator):
     ) -> None:
         if 1 not in baselines or min(baselines) < 1:
             raise ScanError(f"baselines must be 1 and larger counts of frames, got {baselines}")
-        self.curve = curve or DecorrelationCurve()
+        self.curve = curve
         self.baselines = tuple(sorted(set(baselines)))
         self.patches_across = patches_across
         self.turn_std_rad = turn_std_rad
@@ -90,16 +91,17 @@ class DecorrelationEstimator(MotionEstimator):
         if len(scan.frames) < 2:
             raise ScanError(f"motion needs 2 frames or more, '{scan.name}' has {len(scan.frames)}")
         grid = patch_grid(scan, self.patches_across)
-        matcher = PairMatcher(scan, grid, self.curve.dynamic_range_db, max(self.baselines) + 1)
-        usual = usual_fineness(self.curve, grid, matcher)
+        dynamic_range_db = (self.curve or DecorrelationCurve()).dynamic_range_db
+        matcher = PairMatcher(scan, grid, dynamic_range_db, max(self.baselines) + 1)
+        curve, usual = _choose_curve(self.curve, grid, matcher)
         pairs = [
-            fit_pair(pair, self.curve, grid, usual)
+            fit_pair(pair, curve, grid, usual)
             for pair in matched_pairs(matcher, len(scan.frames), self.baselines, progress)
         ]
         _check_seen(scan.name, len(scan.frames) - 1, pairs)
         motion, std = fuse_motion(pairs, len(scan.frames) - 1, grid, self.turn_std_rad)
         return MotionEstimate(
-            torch.from_numpy(motion), torch.from_numpy(std), _assumptions(self.curve, pairs)
+            torch.from_numpy(motion), torch.from_numpy(std), _assumptions(curve, pairs)
         )
 
 
@@ -120,6 +122,16 @@ class FittedPair:
     in_plane: PlaneFit
     out_of_plane: PlaneFit
     is_far: bool
+
+
+def _choose_curve(
+    curve: DecorrelationCurve | None, grid: PatchGrid, matcher: PairMatcher
+) -> tuple[DecorrelationCurve, Float[np.ndarray, " patches"]]:
+    """Return the curve, guessed if none is given, and the fineness it holds for."""
+    if curve is not None:
+        return curve, usual_fineness(curve, grid, matcher)
+    usual = matcher.usual_fineness()
+    return curve_from_speckle(grid.centers_mm[:, 1], usual), usual
 
 
 def usual_fineness(
@@ -237,8 +249,9 @@ def _motion(
 def _assumptions(curve: DecorrelationCurve, pairs: list[FittedPair]) -> tuple[str, ...]:
     """Return what a user must know before believing the result."""
     scale = {
-        "guess": "The elevational scale is a guess: no decorrelation curve was given, and"
-        " scanners stretch it several times; calibrate with a tracked scan or a ruler.",
+        "guess": "The elevational scale is a guess from the size of the speckle: no"
+        " decorrelation curve was given, and frame averaging and the height of the elements"
+        " stretch it, by a factor of two or more; calibrate with a tracked scan or a ruler.",
         "probe": "The elevational scale comes from the probe's beam alone; frame averaging and"
         " gray-level compression of the scanner can stretch it several times.",
         "tracked": f"The elevational scale was measured with a tracker ({curve.preset}) and"

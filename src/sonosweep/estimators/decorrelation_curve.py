@@ -26,6 +26,10 @@ SOUND_SPEED_M_PER_S = 1540.0
 GUESSED_WIDTH_MM = 0.42
 """Of the amplitude correlation of a 5 mm high, 7 MHz linear array focused at 18 mm."""
 
+ELEVATIONAL_PER_LATERAL = 2.05
+"""How much farther speckle reaches out of the plane than along the rows: 0.60 to 0.29 mm for
+the echo of a linear array (L11-5v: 5 mm high, focused at 18 mm, receiving at f/1.5)."""
+
 LOWEST_SHARE = 0.05
 """Part of the peak below which a correlation tells no distance, only "far"."""
 
@@ -140,6 +144,30 @@ def slope_at(
 def scaled_curve(curve: DecorrelationCurve, factor: float) -> DecorrelationCurve:
     """Return the curve with all distances multiplied by a factor."""
     return replace(curve, width_mm=tuple(width * factor for width in curve.width_mm))
+
+
+def curve_from_speckle(
+    depth_mm: Float[np.ndarray, " patches"], fineness_per_mm2: Float[np.ndarray, " patches"]
+) -> DecorrelationCurve:
+    """Guess a curve from the size of the speckle in the frames themselves.
+
+    How far a patch stays like itself along its rows knows of the probe's frequency, of
+    speckle reduction and of gray-level compression; how high the elements are, and that
+    scanners average frames over time, it does not. So this remains a guess.
+
+    Args:
+        depth_mm: Of each patch.
+        fineness_per_mm2: How fast speckle usually decorrelates laterally at that depth; NaN
+            where it is not known.
+    """
+    known = np.isfinite(fineness_per_mm2)
+    depths = np.unique(depth_mm[known])
+    if len(depths) == 0:
+        return DecorrelationCurve()
+    fineness = [float(np.median(fineness_per_mm2[known & (depth_mm == d)])) for d in depths]
+    # Laterally the correlation is exp(-fineness * distance ** 2 / 2).
+    widths = ELEVATIONAL_PER_LATERAL * np.sqrt(2 / np.array(fineness))
+    return DecorrelationCurve(tuple(depths.tolist()), tuple(widths.tolist()))
 
 
 def curve_from_probe(

@@ -1,0 +1,78 @@
+"""How far the sensorless estimate is from the tracker on two real sweeps, as a Markdown table.
+
+    python benchmarks/real_sweeps.py FOLDER_OF_RECORDINGS
+
+Nothing is tuned on these sweeps. Two rows use what a user would not have: the mean motion is
+the tracker's own, and the last row takes its curve from the tracked poses of the same sweep.
+"""
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+import sonosweep
+from sonosweep.cli.info import path_length_mm
+from sonosweep.estimators import DecorrelationEstimator, calibrate
+from sonosweep.evaluate import compare_trajectories, markdown_table
+from sonosweep.geometry import (
+    motion_from_step,
+    poses_from_steps,
+    step_from_motion,
+    steps_from_poses,
+)
+from sonosweep.scan import Scan, Trajectory, find_region
+
+# The way each probe swept, as its operator would say it.
+SWEEPS = {
+    "bone": ("plus_bone_l14/BoneUltrasound_L14.igs.mha", "BoneUltrasound_L14_config.xml", 1),
+    "liver": ("imfusion_liver_sweep/liver_sweep.h5", None, -1),
+}
+
+
+def main(recordings: Path) -> None:
+    """Print a row for each sweep and method."""
+    rows = []
+    for name, (path, config, direction) in SWEEPS.items():
+        file = recordings / path
+        scan = sonosweep.open_scan(file, plus_config=config and file.with_name(config))
+        scan = replace(scan, region=find_region(scan.frames))
+        for method, trajectory in methods(scan, direction):
+            found = compare_trajectories(trajectory, scan).metrics
+            rows.append(
+                {
+                    "sweep": f"{name}, {found.frames} frames, {found.path_length_mm:.0f} mm",
+                    "method": method,
+                    "rAE (mm)": found.relative_error_mm,
+                    "rAE (deg)": found.relative_error_deg,
+                    "aFE (mm)": found.accumulated_frame_error_mm,
+                    "FD (mm)": found.final_drift_mm,
+                    "FDR (% of path)": found.final_drift_rate_path_percent,
+                }
+            )
+    print(markdown_table(rows))
+
+
+def methods(scan: Scan, direction: int) -> Iterator[tuple[str, Trajectory]]:
+    """Give the name and the trajectory of each method on one scan."""
+    poses = scan.image_to_reference
+    assert poses is not None
+    still = torch.eye(4, dtype=torch.float64).repeat(len(poses), 1, 1)
+    yield "no motion", Trajectory(still)
+    motion = motion_from_step(steps_from_poses(poses))
+    mean = step_from_motion(motion.mean(0).expand_as(motion))
+    yield "true mean motion (oracle)", Trajectory(poses_from_steps(mean, still[0]))
+    length = path_length_mm(scan, poses)
+    for name, curve in (
+        ("decorrelation, scale guessed", None),
+        ("decorrelation, length known", calibrate(scan, length_mm=length)),
+        ("decorrelation, curve of this sweep (oracle)", calibrate(scan)),
+    ):
+        estimator = DecorrelationEstimator(curve)
+        yield name, sonosweep.estimate_trajectory(scan, estimator, direction)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
