@@ -145,6 +145,50 @@ def test_a_refined_pose_replaces_the_old_one():
     assert np.array_equal(compounder.volume().voxels, right.voxels)
 
 
+def test_a_jump_begins_a_new_sweep():
+    """After a jump of 50 mm a frame counts two voxels far, as the first frame of all does."""
+    frames, poses, grid = sweep(2)
+    jumped = poses.clone()
+    jumped[1, 2, 3] += 50.0
+    grid = grid_of_sweep(jumped, PIXEL_TO_IMAGE, ROWS, COLUMNS, 0.3)
+
+    auto = compound_gather(frames, jumped, PIXEL_TO_IMAGE, grid)
+    fixed = compound_gather(frames, jumped, PIXEL_TO_IMAGE, grid, radius_mm=0.6)
+
+    assert np.array_equal(auto.coverage, fixed.coverage)
+
+
+def test_an_emptied_volume_starts_anew():
+    """Taking all frames out and adding them again gives the first volume again."""
+    frames, poses, grid = sweep(6)
+    compounder = stream(frames, poses, grid)
+    before = compounder.volume()
+
+    compounder.remove(frames, poses)
+    compounder.add(frames, poses)
+
+    assert np.array_equal(compounder.volume().voxels, before.voxels)
+    assert np.array_equal(compounder.volume().coverage, before.coverage)
+
+
+def test_foreign_byte_order_and_views_are_frames_too():
+    """Big-endian, read-only and strided frames give what plain ones give."""
+    frames, poses, grid = sweep(5)
+    plain = compound_gather(frames.astype(np.uint16), poses, PIXEL_TO_IMAGE, grid)
+    foreign = frames.astype(">u2")
+    foreign.flags.writeable = False
+    wide = np.repeat(frames, 2, axis=2)[:, :, ::2]
+
+    assert np.array_equal(
+        compound_gather(foreign, poses, PIXEL_TO_IMAGE, grid).voxels, plain.voxels
+    )
+    assert np.array_equal(stream(foreign, poses, grid).volume().voxels, plain.voxels)
+    assert np.array_equal(
+        stream(wide, poses, grid).volume().voxels,
+        compound_gather(frames, poses, PIXEL_TO_IMAGE, grid).voxels,
+    )
+
+
 def test_gather_is_nearer_the_truth_than_forward():
     """On noisy frames of a phantom, gathering has the smallest error of all modes."""
     frames, poses, grid = sweep(40, noise=0.25)

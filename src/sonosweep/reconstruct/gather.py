@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
-from torch import Tensor, as_tensor, cat, float64
+from torch import Tensor, as_tensor, float64
 
 from sonosweep.errors import ScanError
 from sonosweep.reconstruct.blocks import (
@@ -30,9 +30,9 @@ from sonosweep.reconstruct.blocks import (
 )
 from sonosweep.reconstruct.bricks import BrickTable
 from sonosweep.reconstruct.grid import check_memory, check_poses
-from sonosweep.reconstruct.planes import axes_by_normal, planes_of_frames
+from sonosweep.reconstruct.planes import Planes, axes_by_normal, planes_of_frames
 from sonosweep.reconstruct.pools import Pool, pool_for
-from sonosweep.reconstruct.sampling import Sampling, sampling_of_frames
+from sonosweep.reconstruct.sampling import Sampling, check_radius, sampling_of_frames
 from sonosweep.scan import Volume, VolumeGrid
 
 RESERVED_BRICKS = 2**17
@@ -74,8 +74,8 @@ class GatherCompounder:
         reject_below: float | None = None,
         threads: int | None = None,
     ) -> None:
-        self._dtype = np.dtype(dtype)
-        check_dtype(self._dtype)
+        check_dtype(np.dtype(dtype))
+        self._dtype = np.dtype(dtype).newbyteorder("=")
         self._shape = tuple(frame_shape)
         self._channels = self._shape[2] if len(self._shape) == 3 else 1
         check_memory(grid, self._dtype.itemsize * self._channels)
@@ -90,7 +90,7 @@ class GatherCompounder:
         self._slots = np.arange(2**12, dtype=np.int32)  # a brick's number is its slot
         self._pool: Pool | None = None  # made when the first frame shows its direction
         self._order = np.arange(3)
-        self._last_pose: Tensor | None = None
+        self._last: Planes | None = None
         self._added: dict[tuple, list[tuple[float, float]]] = defaultdict(list)
         self._halved = 0
 
@@ -99,6 +99,7 @@ class GatherCompounder:
         frames: Shaped[np.ndarray, "..."],
         image_to_reference: Float[Tensor, "*frames 4 4"],
         confidence: Float[Tensor, " frames"] | float | None = None,
+        radius_mm: float | None = None,
     ) -> None:
         """Add one frame, or several in the order in which they were recorded.
 
@@ -106,19 +107,27 @@ class GatherCompounder:
             frames: One frame, or a stack.
             image_to_reference: One pose, or one per frame.
             confidence: Weight of each frame, from 0 (as if absent) to 1.
+            radius_mm: How far these frames count, where the rule of the volume does not
+                apply: a frame that is put back among earlier ones has another frame
+                before it than the one added last.
 
         Raises:
-            ScanError: If shapes, type, poses or confidences do not fit.
+            ScanError: If shapes, type, poses, confidences or the radius do not fit.
         """
         stack, poses = self._checked(frames, image_to_reference)
         weight = check_confidence(confidence, len(stack))
-        known = poses if self._last_pose is None else cat((self._last_pose[None], poses))
-        gaps = self._sampling.gaps_mm(planes_of_frames(known, self._pixel_to_image))
-        radii = self._sampling.radii_mm(np.concatenate((np.zeros(len(stack) - len(gaps)), gaps)))
-        self._last_pose = poses[-1].clone()
+        planes = planes_of_frames(poses, self._pixel_to_image)
+        if radius_mm is None:
+            known = planes if self._last is None else np.concatenate((self._last, planes))
+            gaps = self._sampling.gaps_mm(known)
+            radii = self._sampling.radii_mm(gaps if len(gaps) == len(stack) else [0.0, *gaps])
+        else:
+            check_radius(radius_mm, self._grid)
+            radii = np.full(len(stack), radius_mm)
+        self._last = planes[-1:]
         for key, *how in zip(_keys(stack, poses), radii.tolist(), weight.tolist(), strict=True):
             self._added[key].append((how[0], how[1]))
-        self._accumulate(stack, poses, radii, weight, sign=1)
+        self._accumulate(stack, planes, radii, weight, sign=1)
 
     def remove(
         self,
@@ -154,7 +163,10 @@ class GatherCompounder:
                     " been taken out before"
                 )
         how = np.array([self._added[key].pop() for key in keys])
-        self._accumulate(stack, poses, how[:, 0], how[:, 1], sign=-1)
+        planes = planes_of_frames(poses, self._pixel_to_image)
+        self._accumulate(stack, planes, how[:, 0], how[:, 1], sign=-1)
+        if not any(self._added.values()):
+            self._last = None
 
     def volume(self) -> Volume:
         """Return what the frames added so far make; voxels that none reached are 0."""
@@ -182,7 +194,8 @@ class GatherCompounder:
     def _checked(self, frames: np.ndarray, image_to_reference: Tensor) -> tuple[np.ndarray, Tensor]:
         stack = frames[None] if frames.shape == self._shape else frames
         poses = image_to_reference[None] if image_to_reference.ndim == 2 else image_to_reference
-        if stack.shape[1:] != self._shape or stack.dtype != self._dtype:
+        poses = poses.detach().to(float64)
+        if stack.shape[1:] != self._shape or stack.dtype.newbyteorder("=") != self._dtype:
             raise ScanError(
                 f"frames of shape {frames.shape} and type {frames.dtype} in a volume of frames of"
                 f" shape {self._shape} and type {self._dtype}"
@@ -193,11 +206,10 @@ class GatherCompounder:
         return stack, poses
 
     def _accumulate(
-        self, stack: np.ndarray, poses: Tensor, radii: np.ndarray, weight: np.ndarray, sign: int
+        self, stack: np.ndarray, planes: Planes, radii: np.ndarray, weight: np.ndarray, sign: int
     ) -> None:
         if self._pool is None:
-            first = planes_of_frames(poses[:1], self._pixel_to_image)
-            self._order = axes_by_normal(first, self._grid)
+            self._order = axes_by_normal(planes[:1], self._grid)
             room = min(math.prod(-(-n // 8) for n in self._grid.size), RESERVED_BRICKS)
             self._pool = pool_for(
                 self._dtype, self._channels, self._sampling, self._reject_below, self._order, room
@@ -207,8 +219,7 @@ class GatherCompounder:
         def add(
             block: np.ndarray, k: slice, threads: int, workers: ThreadPoolExecutor | None
         ) -> None:
-            planes = planes_of_frames(poses[k], self._pixel_to_image)
-            part = self._sampling.contribution(planes, radii[k], weight[k], order, self._table)
+            part = self._sampling.contribution(planes[k], radii[k], weight[k], order, self._table)
             bricks = self._table.bricks
             pool.reserve(len(bricks))
             if len(self._slots) < len(bricks):
@@ -240,8 +251,8 @@ def gather_settings(sampling: Sampling) -> dict[str, str]:
 def _keys(stack: np.ndarray, poses: Tensor) -> list[tuple]:
     """What tells a frame at its pose from others."""
     return [
-        (zlib.crc32(np.ascontiguousarray(frame).data), pose.double().numpy().tobytes())
-        for frame, pose in zip(stack, poses, strict=True)
+        (zlib.crc32(np.ascontiguousarray(frame).data), pose.tobytes())
+        for frame, pose in zip(stack, poses.numpy(), strict=True)
     ]
 
 
@@ -255,7 +266,7 @@ def check_confidence(
     """
     if confidence is None:
         return np.ones(frames)
-    weight = as_tensor(confidence, dtype=float64).numpy()
+    weight: np.ndarray = as_tensor(confidence, dtype=float64).numpy()
     if weight.ndim and weight.shape != (frames,):
         raise ScanError(f"{frames} frames but {weight.size} confidences")
     if not ((weight >= 0) & (weight <= 1)).all():

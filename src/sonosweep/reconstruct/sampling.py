@@ -1,5 +1,6 @@
 """What a frame contributes to which bricks: the geometry of gather compounding."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,7 +25,7 @@ NARROWEST_RADIUS_VOXELS = 2.0
 """With less, single pixels show; measured on a phantom, twice a voxel has the least error."""
 WIDEST_RADIUS_MM = 3.0
 """About half the thickness of an ultrasound beam far from its focus: beyond, a frame knows
-nothing, and a hole is more honest."""
+nothing, and a hole is more honest. After twice this gap a new sweep begins."""
 LARGEST_FRAME_PX = 30000
 """Coordinates in a frame are 16 bits of pixels over 16 bits of fraction."""
 
@@ -69,7 +70,7 @@ class Sampling:
     radius_mm: float | None
     kept_cells: Bool[np.ndarray, " cells"]
 
-    def radii_mm(self, gaps: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " frames"]:
+    def radii_mm(self, gaps: Sequence[float] | np.ndarray) -> Float[np.ndarray, " frames"]:
         """Return the radius of frames with these gaps before them.
 
         A frame reaches back to the frame before it, so that nothing between them stays
@@ -78,6 +79,7 @@ class Sampling:
         if self.radius_mm is not None:
             return np.full(len(gaps), self.radius_mm)
         narrowest = NARROWEST_RADIUS_VOXELS * self.voxel_mm
+        gaps = np.where(np.asarray(gaps) > 2 * WIDEST_RADIUS_MM, 0.0, gaps)
         return np.clip(gaps, narrowest, max(WIDEST_RADIUS_MM, narrowest))
 
     def gaps_mm(self, planes: Planes) -> Float[np.ndarray, " steps"]:
@@ -131,10 +133,8 @@ def sampling_of_frames(
     else:
         raise ScanError(f"the prefilter averages squares of 1 pixel or more, got {prefilter}")
     box = np.minimum(box, (rows, columns))
-    if radius_mm != "auto" and not voxel_mm / 100 <= radius_mm < np.inf:
-        raise ScanError(
-            f"the radius must be above 0 mm, and at least a hundredth of a voxel, got {radius_mm:g}"
-        )
+    if radius_mm != "auto":
+        check_radius(radius_mm, grid)
     if mask is not None and mask.shape != (rows, columns):
         raise ScanError(f"a mask of shape {mask.shape} for frames of {rows} x {columns}")
     brick_px = 2 * BRICK * max(grid.spacing_mm) / (pixel_mm[::-1] * box).min()
@@ -152,6 +152,18 @@ def sampling_of_frames(
         radius_mm=None if radius_mm == "auto" else float(radius_mm),
         kept_cells=np.zeros(0, bool) if mask is None else _kept_cells(mask, box),
     )
+
+
+def check_radius(radius_mm: float, grid: VolumeGrid) -> None:
+    """Refuse a radius that is not above 0, or too small for fixed-point heights.
+
+    Raises:
+        ScanError: Which says so.
+    """
+    if not min(grid.spacing_mm) / 100 <= radius_mm < np.inf:
+        raise ScanError(
+            f"the radius must be above 0 mm, and at least a hundredth of a voxel, got {radius_mm:g}"
+        )
 
 
 def _kept_cells(mask: np.ndarray, box: np.ndarray) -> np.ndarray:
