@@ -212,7 +212,7 @@ def test_a_folder_with_files_of_others_is_left_alone(tmp_path, frames):
     write_scan_as(frames, tmp_path / "out")
     (tmp_path / "out" / "scan1.png").write_bytes(b"mine")
 
-    with pytest.raises(FormatError, match="other files, such as 'scan1.png'"):
+    with pytest.raises(FormatError, match=r"other files, such as 'scan1\.png'"):
         write_scan_as(frames, tmp_path / "out")
 
     assert (tmp_path / "out" / "scan1.png").read_bytes() == b"mine"

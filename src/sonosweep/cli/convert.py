@@ -27,8 +27,8 @@ def convert(
     """Write a scan in another format: what is in the file comes along, with added poses.
 
     The suffix of OUTPUT chooses: .igs.mha, .igs.nrrd (PLUS and 3D Slicer), .seq.nrrd, .h5
-    (ours), .dcm (DICOM cine), .mp4 or .mkv (with poses in a csv beside it), or no suffix
-    for a folder of PNG images and poses.csv.
+    (ours), .dcm (DICOM cine), .mp4 or .mkv (each with poses in a csv beside it), or no
+    suffix for a folder of PNG images and poses.csv.
 
     Args:
         scan: File or folder of the sweep.
@@ -42,9 +42,13 @@ def convert(
     """
     from sonosweep.cli.output import check_free, say
     from sonosweep.io import write_scan_as
+    from sonosweep.io.write_scan import poses_beside
 
     check_free(output, force)
     recorded = _change(read(scan, inputs), crop, resize, range_of(first, last, step))
+    beside = poses_beside(output)
+    if beside is not None and recorded.image_to_reference is not None:
+        check_free(beside, force)
     files = write_scan_as(recorded, output, keep_subject=not anonymize)
     frames, rows, columns = recorded.frames.shape[:3]
     names = ", ".join(str(file) for file in files)

@@ -44,8 +44,11 @@ def find_trajectory(scan: "Scan", options: MotionOptions) -> tuple["Scan", "Traj
     from sonosweep.scan import select_tracked
 
     if options.poses == "tracked":
-        tracked = select_tracked(scan)
-        return tracked, tracked_trajectory(tracked)
+        seen = select_tracked(scan)
+        trajectory = tracked_trajectory(seen)
+        if scan.tracked is not None:  # the numbers that these frames have in the file
+            trajectory = replace(trajectory, frames=scan.tracked.nonzero()[:, 0])
+        return seen, trajectory
     located = locate(scan, options.crop)
     with progress("estimating motion") as show:
         trajectory = estimate_trajectory(

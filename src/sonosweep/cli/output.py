@@ -3,13 +3,13 @@
 import json
 import math
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from sonosweep.errors import FormatError
+from sonosweep.io.atomic_folder import put_in_place, temporary_for
 
 
 def say(line: str, facts: Mapping[str, Any], as_json: bool) -> None:
@@ -46,7 +46,8 @@ def check_free(path: Path, force: bool) -> None:
 def whole_folder(folder: Path, force: bool) -> Iterator[Path]:
     """Give a temporary folder whose files all arrive in ``folder`` at the end, or none.
 
-    With ``force``, files of the same name are replaced and other files stay.
+    With ``force``, files of the same name are replaced and other files stay. Of two runs
+    into one new folder, the second is refused when it comes to write.
 
     Raises:
         FormatError: If ``folder`` holds files already and ``force`` is not set, or it
@@ -57,15 +58,9 @@ def whole_folder(folder: Path, force: bool) -> Iterator[Path]:
     check_free(folder, force)
     temporary = None
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".writing-"))
+        temporary = temporary_for(folder)
         yield temporary
-        folder.mkdir(exist_ok=True)
-        for item in sorted(temporary.iterdir()):
-            target = folder / item.name
-            if target.is_dir():
-                shutil.rmtree(target)
-            item.replace(target)
+        put_in_place(temporary, folder)
     except OSError as error:
         raise FormatError(f"cannot write to '{folder}': {error.strerror or error}") from error
     finally:

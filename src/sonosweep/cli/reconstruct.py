@@ -61,4 +61,5 @@ def reconstruct(
 
 def _name(path: Path) -> str:
     """Return a file's name without its suffixes, ``sweep`` for ``sweep.igs.mha``."""
-    return path.name.split(".")[0] or path.name
+    name = path.resolve().name
+    return name.split(".")[0] or name

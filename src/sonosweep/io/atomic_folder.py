@@ -11,14 +11,14 @@ from sonosweep.errors import FormatError
 
 
 @contextmanager
-def write_folder_beside(path: str | os.PathLike, ours: str) -> Iterator[Path]:
-    """Give a temporary folder beside ``path``; rename it to ``path`` if all goes well.
+def write_folder_beside(path: str | os.PathLike, ours: tuple[str, ...]) -> Iterator[Path]:
+    """Give a temporary folder; its files arrive at ``path`` if all goes well.
 
     Whatever goes wrong inside the block, interruption included, leaves ``path`` as it was.
 
     Args:
         path: Where the folder is to be in the end.
-        ours: Pattern of the files that may be replaced. A folder with anything else in it
+        ours: Patterns of the files that may be replaced. A folder with anything else in it
             is never touched.
 
     Raises:
@@ -29,13 +29,13 @@ def write_folder_beside(path: str | os.PathLike, ours: str) -> Iterator[Path]:
     temporary = None
     try:
         _refuse_foreign(target, ours)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=".writing-"))
+        temporary = temporary_for(target)
         yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o777 & ~umask)
-        _put_in_place(temporary, target)
+        kept = {item.name for item in temporary.iterdir()}
+        put_in_place(temporary, target)
+        for item in target.iterdir():
+            if item.name not in kept and _is_ours(item, ours):
+                item.unlink()
     except OSError as error:
         raise FormatError(f"cannot write '{target}': {error.strerror or error}") from error
     finally:
@@ -43,28 +43,47 @@ def write_folder_beside(path: str | os.PathLike, ours: str) -> Iterator[Path]:
             shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _refuse_foreign(target: Path, ours: str) -> None:
+def temporary_for(folder: Path) -> Path:
+    """Return a new temporary folder from which files can be renamed into ``folder``.
+
+    It lies in ``folder`` where that exists, which may be another disk than its parent.
+    """
+    if folder.is_dir():
+        return Path(tempfile.mkdtemp(dir=folder, prefix=".writing-"))
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    return Path(tempfile.mkdtemp(dir=folder.parent, prefix=".writing-"))
+
+
+def put_in_place(temporary: Path, folder: Path) -> None:
+    """Give ``folder`` what is in a temporary folder, replacing what has the same name.
+
+    A new folder appears at once; of two programs that make it, only one succeeds.
+    """
+    if not (folder.exists() and folder.samefile(temporary.parent)):
+        # mkdtemp makes folders that only their owner can enter; give what umask would have.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o777 & ~umask)
+        temporary.rename(folder)
+        return
+    for item in sorted(temporary.iterdir()):
+        target = folder / item.name
+        if target.is_dir() and not target.is_symlink():
+            shutil.rmtree(target)
+        item.replace(target)
+
+
+def _refuse_foreign(target: Path, ours: tuple[str, ...]) -> None:
     if not target.exists():
         return
     if not target.is_dir():
         raise FormatError(f"'{target}' is a file; give a new folder")
-    foreign = next((p.name for p in target.iterdir() if not p.match(ours)), None)
+    foreign = next((p.name for p in target.iterdir() if not _is_ours(p, ours)), None)
     if foreign is not None:
         raise FormatError(
             f"folder '{target}' holds other files, such as '{foreign}'; give a new folder"
         )
 
 
-def _put_in_place(temporary: Path, target: Path) -> None:
-    """Rename, moving what was there aside until the new folder stands."""
-    if not target.exists():
-        temporary.rename(target)
-        return
-    aside = Path(tempfile.mkdtemp(dir=target.parent, prefix=".replaced-"))
-    target.rename(aside)  # a folder may be renamed onto an empty one
-    try:
-        temporary.rename(target)
-    except OSError:
-        aside.rename(target)
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
+def _is_ours(item: Path, ours: tuple[str, ...]) -> bool:
+    return item.is_file() and any(item.match(pattern) for pattern in ours)

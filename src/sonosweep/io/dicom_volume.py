@@ -72,7 +72,7 @@ def write_dicom_volume(
     if slope is not None:
         common.RescaleSlope, common.RescaleIntercept = _decimal(slope), _decimal(intercept)
     matrix = lps_matrix(volume.grid, world)
-    with write_folder_beside(path, SLICE_PATTERN) as folder:
+    with write_folder_beside(path, (SLICE_PATTERN,)) as folder:
         for index, piece in enumerate(volume.voxels):
             if slope is not None:
                 levels = np.rint((piece.astype(np.float64) - intercept) / slope)

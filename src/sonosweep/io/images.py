@@ -25,6 +25,7 @@ from sonosweep.scan import Calibration, Frames, Scan
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 FORMATS = ("PNG", "TIFF", "JPEG", "BMP")
+FRAME_PATTERN = "frame[0-9][0-9][0-9][0-9]*.png"  # what we write
 POSE_NAMES = ("poses.csv", "poses.txt")
 LARGEST_PAGE_COUNT = 100_000
 # What Pillow calls a kind of pixel, and what we make of it.

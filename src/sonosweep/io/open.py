@@ -56,6 +56,8 @@ def open_scan(
         ScanError: If its parts contradict each other.
     """
     file = Path(path)
+    if file.name in ("", ".."):  # the folder where one is has a name too
+        file = file.resolve()
     if not file.exists():
         raise FormatError(f"there is no '{file}'")
     scan = _read(file, plus_config, image_orientation, variable)

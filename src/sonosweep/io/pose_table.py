@@ -88,6 +88,8 @@ def read_pose_table(
     columns = {column: rows[:, i] for i, column in enumerate(header)}
     ours = bool(comments) and comments[0].strip() == FIRST_LINE
     poses = _poses_from_columns(columns, euler_order, name)
+    frames = _frame_indices(columns, name)
+    everyone = frames is None or torch.equal(frames, torch.arange(len(frames)))
     if not ours:
         poses = unround_poses(poses)
     # With exactly 1 nothing may change, not even the sign of a zero.
@@ -98,11 +100,12 @@ def read_pose_table(
             image_to_reference=poses,
             timestamps_s=_times(columns, name),
             step_std=_step_std(columns),
+            frames=None if everyone else frames,
             **_read_comments(comments, name),  # type: ignore[arg-type]
         )
     except ScanError as error:
         raise FormatError(f"{error}, in '{name}'{_hint(poses)}") from error
-    return PoseTable(trajectory, _frame_indices(columns, name))
+    return PoseTable(trajectory, frames)
 
 
 def _split_table(text: str, name: str) -> tuple[list[str], list[str], np.ndarray]:

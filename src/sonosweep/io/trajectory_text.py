@@ -1,9 +1,10 @@
 """Trajectories as text that people and other programs read: csv and TUM.
 
-The csv holds ``frame, time_s, tx_mm, ty_mm, tz_mm, r00 ... r22`` (rotation row by row) and,
-if known, six standard deviations ``std_lateral_mm ... std_roll_rad`` of the step that led to
-the frame (none in the first row). Method, assumptions and settings are ``#`` lines above
-the header. Every number has the digits that give back the same float64;
+The csv holds ``frame`` (its number in the scan, from 0; frames without a pose are left out),
+``time_s, tx_mm, ty_mm, tz_mm, r00 ... r22`` (rotation row by row) and, if known, six
+standard deviations ``std_lateral_mm ... std_roll_rad`` of the step that led to the frame
+(none in the first row). Method, assumptions and settings are ``#`` lines above the header.
+Every number has the digits that give back the same float64;
 :func:`sonosweep.io.pose_table.read_pose_table` reads both.
 """
 
@@ -37,8 +38,8 @@ def write_trajectory_csv(trajectory: Trajectory, path: str | os.PathLike) -> Non
             settings = json.dumps(dict(trajectory.settings))
             print(f"# settings: {settings}", file=file)
         print(",".join(header), file=file)
-        for frame in range(count):
-            print(",".join(_csv_cells(trajectory, frame)), file=file)
+        for row in range(count):
+            print(",".join(_csv_cells(trajectory, row)), file=file)
 
 
 def write_tum(trajectory: Trajectory, path: str | os.PathLike) -> None:
@@ -61,14 +62,15 @@ def write_tum(trajectory: Trajectory, path: str | os.PathLike) -> None:
             print(" ".join(repr(value) for value in row), file=file)
 
 
-def _csv_cells(trajectory: Trajectory, frame: int) -> list[str]:
-    pose = trajectory.image_to_reference[frame]
+def _csv_cells(trajectory: Trajectory, row: int) -> list[str]:
+    pose = trajectory.image_to_reference[row]
     numbers = [*pose[:3, 3].tolist(), *pose[:3, :3].flatten().tolist()]
     if trajectory.timestamps_s is not None:
-        numbers.insert(0, float(trajectory.timestamps_s[frame]))
+        numbers.insert(0, float(trajectory.timestamps_s[row]))
+    frame = row if trajectory.frames is None else int(trajectory.frames[row])
     cells = [str(frame), *(repr(value) for value in numbers)]
     if trajectory.step_std is None:
         return cells
-    if frame == 0:
+    if row == 0:
         return cells + [""] * len(STD)
-    return cells + [repr(value) for value in trajectory.step_std[frame - 1].tolist()]
+    return cells + [repr(value) for value in trajectory.step_std[row - 1].tolist()]

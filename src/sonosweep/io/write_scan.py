@@ -8,6 +8,7 @@ from sonosweep.errors import FormatError
 from sonosweep.scan import Scan, Trajectory, select_tracked
 
 KNOWN = ".igs.mha, .igs.nrrd, .seq.nrrd, .h5, .dcm, .mp4, .mkv, or a folder for PNG images"
+POSES_NAME = "poses.csv"  # where the reader of a folder of images looks
 
 
 def write_scan_as(
@@ -15,7 +16,8 @@ def write_scan_as(
 ) -> tuple[Path, ...]:
     """Write a scan in the format that the suffix names, and return the files written.
 
-    Video and images cannot hold poses: those go to a csv beside them.
+    Video, images and DICOM cine cannot hold poses: those go to a csv beside them. A folder
+    of images that we wrote before is replaced, with its poses.
 
     Args:
         scan: What to write.
@@ -38,13 +40,19 @@ def write_scan_as(
         from sonosweep.io.hdf5 import write_scan
 
         write_scan(scan, file)
-    elif suffix == ".dcm":
-        from sonosweep.io.dicom_cine import write_dicom_cine
-
-        write_dicom_cine(scan, file)
+    elif not suffix:
+        return _write_folder(scan, file)
     else:
         return _write_pictures(scan, file, suffix)
     return (file,)
+
+
+def poses_beside(path: str | os.PathLike) -> Path | None:
+    """Return where :func:`write_scan_as` puts the poses that a format cannot hold itself."""
+    file = Path(path)
+    if file.suffix.lower() not in (".mp4", ".mkv", ".dcm"):
+        return None
+    return file.with_name(f"{file.stem}_poses.csv")
 
 
 def _write_pictures(scan: Scan, file: Path, suffix: str) -> tuple[Path, ...]:
@@ -52,28 +60,35 @@ def _write_pictures(scan: Scan, file: Path, suffix: str) -> tuple[Path, ...]:
         from sonosweep.io.video_write import write_video
 
         write_video(scan.frames, scan.timestamps_s, file)
-        poses = file.with_name(f"{file.stem}_poses.csv")
-    elif not suffix:
-        from sonosweep.io.images import write_images
+    elif suffix == ".dcm":
+        from sonosweep.io.dicom_cine import write_dicom_cine
 
-        write_images(scan.frames, file)
-        poses = file / "poses.csv"
+        write_dicom_cine(scan, file)
     else:
         raise FormatError(f"cannot write a scan as '{file.name}'; known are {KNOWN}")
-    if scan.image_to_reference is None:
+    poses = poses_beside(file)
+    if scan.image_to_reference is None or poses is None:
         return (file,)
     _write_poses(scan, poses)
     return (file, poses)
 
 
+def _write_folder(scan: Scan, folder: Path) -> tuple[Path, ...]:
+    from sonosweep.io.atomic_folder import write_folder_beside
+    from sonosweep.io.images import FRAME_PATTERN, write_images
+
+    with write_folder_beside(folder, (FRAME_PATTERN, POSES_NAME)) as temporary:
+        write_images(scan.frames, temporary)
+        if scan.image_to_reference is not None:
+            _write_poses(scan, temporary / POSES_NAME)
+    return (folder,) if scan.image_to_reference is None else (folder, folder / POSES_NAME)
+
+
 def _write_poses(scan: Scan, path: Path) -> None:
     from sonosweep.io.trajectory_text import write_trajectory_csv
 
-    tracked = select_tracked(scan)
-    assert tracked.image_to_reference is not None
-    if len(tracked.frames) != len(scan.frames) and scan.timestamps_s is None:
-        raise FormatError(
-            f"some frames of '{scan.name}' have no pose and there are no times to tell which:"
-            " give --frame-rate-hz, or write .h5 or .igs.mha"
-        )
-    write_trajectory_csv(Trajectory(tracked.image_to_reference, tracked.timestamps_s), path)
+    seen = select_tracked(scan)
+    assert seen.image_to_reference is not None
+    frames = None if scan.tracked is None else scan.tracked.nonzero()[:, 0]
+    poses = Trajectory(seen.image_to_reference, seen.timestamps_s, frames=frames)
+    write_trajectory_csv(poses, path)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sonosweep.errors import ScanError
@@ -25,6 +25,8 @@ class Trajectory:
         assumptions: One sentence each on what was assumed and could be wrong, such as the
             direction of the sweep.
         settings: How it was made, by name.
+        frames: Which frame of the scan each pose belongs to, from 0; ``None`` if every
+            frame has a pose.
     """
 
     image_to_reference: Float[Tensor, "frames 4 4"]
@@ -33,6 +35,7 @@ class Trajectory:
     method: str = "tracked"
     assumptions: tuple[str, ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)
+    frames: Int[Tensor, " poses"] | None = None
 
     def __post_init__(self) -> None:
         """Check that there are poses, that they are rigid and that the counts agree.
@@ -48,6 +51,8 @@ class Trajectory:
             raise ScanError(f"pose {int((~rigid).nonzero()[0])} of the trajectory is not rigid")
         if self.timestamps_s is not None and len(self.timestamps_s) != frames:
             raise ScanError(f"{frames} poses but {len(self.timestamps_s)} timestamps")
+        if self.frames is not None and len(self.frames) != frames:
+            raise ScanError(f"{frames} poses but {len(self.frames)} frame numbers")
         if self.step_std is not None:
             if self.step_std.shape != (frames - 1, 6):
                 raise ScanError(f"{frames} poses but {len(self.step_std)} step deviations")
