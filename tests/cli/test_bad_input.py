@@ -71,7 +71,7 @@ def test_one_frame_has_no_motion(run, tmp_path):
 
     ran = run("reconstruct", folder, "--pixel-spacing", "0.1", "0.1", "-o", "out")
 
-    one_sentence(ran, tmp_path, "two")
+    one_sentence(ran, tmp_path, "2 frames or more")
 
 
 @pytest.mark.parametrize("spacing", ["0", "-1", "nan"])
@@ -123,3 +123,41 @@ def test_poses_that_are_missing_are_named(run, recordings, tmp_path):
 
     one_sentence(ran, tmp_path, "ImageToProbe")
     assert "ProbeToTracker" in ran.sentence
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--latency-ms", "60"), "--latency-ms is about the poses of a --pose-file"),
+        (("--pose-of", "probe"), "--pose-of is about the poses of a --pose-file"),
+        (("--variable", "bmode"), "--variable chooses an array of a .mat file"),
+        (("--image-orientation", "UF"), "--image-orientation says how"),
+        (("--reject-below", "nan"), "--reject-below must be a gray level, got nan"),
+        (("--pixel-spacing", "70000", "1"), "below 1000 mm, got 70000"),
+    ],
+)
+def test_options_that_do_nothing_or_make_no_sense(run, sweep, tmp_path, words, expected):
+    """An option is obeyed or refused, never passed over."""
+    ran = run("reconstruct", sweep, "--poses", "tracked", "-o", "out", *words)
+
+    one_sentence(ran, tmp_path, expected)
+
+
+def test_absurd_sizes_are_refused_before_memory_is_taken(run, sweep, tmp_path):
+    """A frame of 10^12 pixels is a slip of the keyboard."""
+    ran = run("convert", sweep, "out", "--resize", "1000000", "1000000")
+
+    one_sentence(ran, tmp_path, "1 to 8192 each way")
+
+
+def test_numbers_need_a_file_name(run, sweep, tmp_path):
+    """A folder is no place for the numbers of `evaluate`."""
+    one_sentence(run("evaluate", "x.csv", sweep, "-o", "."), tmp_path, "'.' is a folder")
+
+
+def test_a_name_that_cannot_be_written_is_said_before_the_work(run, sweep, tmp_path):
+    """A minute of estimation must not end in "unknown suffix"."""
+    ran = run("estimate", sweep, "-o", "path.json")
+
+    one_sentence(ran, tmp_path, "cannot write a trajectory as 'path.json'")
+    assert "estimating" not in ran.error

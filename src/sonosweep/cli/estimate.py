@@ -29,7 +29,9 @@ def estimate(
     from sonosweep.cli.motion import find_trajectory
     from sonosweep.cli.output import check_free, say
     from sonosweep.io import write_trajectory
+    from sonosweep.io.trajectories import check_name
 
+    check_name(output)
     check_free(output, force)
     recorded, trajectory = find_trajectory(read(scan, inputs), motion or MotionOptions())
     write_trajectory(trajectory, output)

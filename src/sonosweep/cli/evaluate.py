@@ -62,6 +62,8 @@ def _outputs(output: Path | None) -> tuple[Path, ...]:
         return ()
     if output.suffix.lower() in (".json", ".csv"):
         return (output,)
+    if output.is_dir():
+        raise FormatError(f"'{output}' is a folder: name a file in it, ending with .json or .csv")
     if output.suffix:
         raise FormatError(f"'{output}' must end with .json or .csv, or with neither for both")
     return (output.with_suffix(".json"), output.with_suffix(".csv"))

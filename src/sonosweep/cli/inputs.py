@@ -46,10 +46,15 @@ class InputOptions:
 
 
 def read(path: Path, options: InputOptions | None) -> "Scan":
-    """Return the scan of a path, read as the options say."""
+    """Return the scan of a path, read as the options say.
+
+    Raises:
+        ScanError: If an option has nothing to act on: nobody shall think that it did.
+    """
     from sonosweep.io import open_scan
 
     chosen = options or InputOptions()
+    _refuse_idle(path, chosen)
     return open_scan(
         path,
         plus_config=chosen.plus_config,
@@ -62,3 +67,26 @@ def read(path: Path, options: InputOptions | None) -> "Scan":
         pose_of=chosen.pose_of,
         variable=chosen.variable,
     )
+
+
+def _refuse_idle(path: Path, options: InputOptions) -> None:
+    from sonosweep.errors import ScanError
+    from sonosweep.io.open import SEQUENCES
+
+    usual = InputOptions()
+    needs_poses = {
+        "--latency-ms": options.latency_ms != usual.latency_ms,
+        "--max-gap-ms": options.max_gap_ms != usual.max_gap_ms,
+        "--pose-of": options.pose_of is not None,
+    }
+    idle = next((name for name, given in needs_poses.items() if given), None)
+    if idle is not None and options.pose_file is None:
+        raise ScanError(f"{idle} is about the poses of a --pose-file: give that too")
+    suffix = path.suffix.lower()
+    if options.variable is not None and suffix != ".mat":
+        raise ScanError(f"--variable chooses an array of a .mat file, and '{path.name}' is none")
+    if options.image_orientation is not None and suffix not in SEQUENCES:
+        raise ScanError(
+            f"--image-orientation says how the images of a PLUS sequence lie, and '{path.name}'"
+            " is none"
+        )

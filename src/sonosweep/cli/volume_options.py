@@ -68,6 +68,8 @@ def volume_settings(options: VolumeOptions, plus_config: Path | None) -> "Volume
         settings = settings if found is None else _from_plus(found)
     if (options.fan_angles_deg is None) != (options.fan_origin_px is None):
         raise ScanError("a fan needs both --fan-angles-deg and --fan-origin-px")
+    if options.reject_below is not None and not math.isfinite(options.reject_below):
+        raise ScanError(f"--reject-below must be a gray level, got {options.reject_below:g}")
     if options.fan_angles_deg is not None and options.fan_origin_px is not None:
         settings = replace(
             settings,

@@ -9,6 +9,7 @@ from sonosweep.io.world import World
 from sonosweep.scan import Trajectory
 
 TUM = (".txt", ".tum")
+ENDINGS_OUT = (".csv", *TUM, ".mha", ".tfm", ".mrk.json")
 KNOWN_OUT = ".csv, .txt or .tum (TUM), .igs.mha, .tfm, .mrk.json"
 KNOWN_IN = ".csv, .txt or .tum (TUM), .tfm, and PLUS sequences (.igs.mha)"
 SEQUENCES = (".mha", ".mhd", ".nrrd", ".nhdr")
@@ -83,6 +84,7 @@ def write_trajectory(
         FormatError: If the suffix is not known, or the file cannot be written.
     """
     file = Path(path)
+    check_name(file)
     name = file.name.lower()
     if name.endswith(".csv"):
         from sonosweep.io.trajectory_text import write_trajectory_csv
@@ -100,9 +102,18 @@ def write_trajectory(
         from sonosweep.io.itk_transform import write_itk_transforms
 
         write_itk_transforms(trajectory, file, world)
-    elif name.endswith(".mrk.json"):
+    else:
         from sonosweep.io.slicer_markups import write_slicer_curve
 
         write_slicer_curve(trajectory, file, world, point_mm)
-    else:
+
+
+def check_name(path: str | os.PathLike) -> None:
+    """Refuse a name that :func:`write_trajectory` cannot write, before the work is done.
+
+    Raises:
+        FormatError: If the suffix is not known.
+    """
+    file = Path(path)
+    if not file.name.lower().endswith(ENDINGS_OUT):
         raise FormatError(f"cannot write a trajectory as '{file.name}'; known are {KNOWN_OUT}")

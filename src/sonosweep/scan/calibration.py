@@ -12,6 +12,7 @@ from sonosweep.errors import ScanError
 from sonosweep.geometry import is_rigid, pose_from_parts, scale_pixels
 
 PixelAxes = Literal["column_row", "row_column"]
+LARGEST_SPACING_MM = 1000.0  # of no ultrasound pixel: the unit is wrong
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,11 @@ class Calibration:
             ScanError: If a spacing is not positive and finite, or a matrix is not rigid.
         """
         for axis, value in zip(("lateral", "axial"), self.spacing_mm, strict=True):
-            if not (np.isfinite(value) and 0 < value < 1e3):
-                raise ScanError(f"{axis} pixel spacing must be above 0 mm, got {value:g}")
+            if not (np.isfinite(value) and 0 < value < LARGEST_SPACING_MM):
+                raise ScanError(
+                    f"{axis} pixel spacing must be above 0 mm and below"
+                    f" {LARGEST_SPACING_MM:g} mm, got {value:g}"
+                )
         if not (np.isfinite(self.shear) and abs(self.shear) < 1):
             raise ScanError(f"image shear must be between -1 and 1, got {self.shear:g}")
         if not np.isfinite(self.latency_s):

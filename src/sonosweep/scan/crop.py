@@ -15,6 +15,8 @@ from sonosweep.scan.frames import Frames, FrameView
 from sonosweep.scan.region import Region
 from sonosweep.scan.scan import Scan
 
+LARGEST_SIDE_PX = 8192  # a frame of this size fills 268 MB on the way
+
 
 def crop_scan(scan: Scan, rectangle_px: tuple[int, int, int, int]) -> Scan:
     """Return the scan with only a rectangle of each frame.
@@ -64,11 +66,14 @@ def resample_scan(scan: Scan, width: int = 256, height: int = 256) -> Scan:
     The field of view stays; spacing, image origin and poses follow.
 
     Raises:
-        ScanError: If a size is below 1 pixel.
+        ScanError: If a size is below 1 or above 8192 pixels.
     """
     rows, columns = scan.frames.shape[1:3]
-    if min(width, height) < 1:
-        raise ScanError(f"cannot resample to {width} x {height} pixels")
+    if min(width, height) < 1 or max(width, height) > LARGEST_SIDE_PX:
+        raise ScanError(
+            f"frames cannot be resized to {width} x {height} pixels: give 1 to"
+            f" {LARGEST_SIDE_PX} each way"
+        )
     region = None
     if scan.region is not None:
         region = _resize_region(scan.region, (columns, rows), (width, height))
