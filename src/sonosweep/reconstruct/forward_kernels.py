@@ -79,6 +79,8 @@ def _clip_row(matrix, row, scale, shift, low, high, first, last):
     for axis in range(3):
         start = _point(matrix, 0, row, scale, shift, axis)
         first, last = _span(start, matrix[axis, 0] * scale, low[axis], high[axis], first, last)
+        if first >= last:
+            break
     return first, last
 
 

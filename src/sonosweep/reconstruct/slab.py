@@ -43,14 +43,13 @@ class Slab:
 def split_grid(
     grid: VolumeGrid, pixel_to_voxel: Float[np.ndarray, "frames 3 3"], parts: int
 ) -> list[Slab]:
-    """Return at least ``parts`` slabs, cut across the axis that runs along the frames.
+    """Return at least ``parts`` slabs, cut across the axis that runs down the frames.
 
-    Cut so, every frame gives work to every slab.
+    Cut so, every frame gives work to every slab, and most rows of pixels to one only.
     """
-    rows, columns = pixel_to_voxel[:, :, 1], pixel_to_voxel[:, :, 0]
-    normal = np.abs(np.cross(columns, rows)).mean(axis=0)
+    down = np.abs(pixel_to_voxel[:, :, 1]).mean(axis=0)
     # A thin axis is not worth cutting even if it runs along the frames.
-    axis = int(np.argmin(normal / (normal.max() or 1.0) - (np.array(grid.size) >= 16 * parts)))
+    axis = int(np.argmax(down / (down.max() or 1.0) + (np.array(grid.size) >= 16 * parts)))
     length = grid.size[axis]
     voxels = int(np.prod([n + 2 for n in grid.size], dtype=object))
     count = min(max(parts, -(-voxels // LARGEST_SLAB)), length)
