@@ -6,7 +6,6 @@ that names the patient is read, kept or written.
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import BinaryIO
@@ -30,42 +29,26 @@ from sonosweep.io.dicom_times import (
     state_frame_times,
 )
 from sonosweep.io.guard import refusing
-from sonosweep.scan import Calibration, Frames, Region, Scan
+from sonosweep.scan import Calibration, Frames, LazyFrames, Region, Scan
 
 LARGEST_PIXEL_DATA_BYTES = 0xFFFFFFFE
 EMPTY_OFFSET_TABLE = struct.pack("<HHI", 0xFFFE, 0xE000, 0)
 END_OF_FRAGMENTS = struct.pack("<HHI", 0xFFFE, 0xE0DD, 0)
 
 
-@dataclass(frozen=True, eq=False)
-class JoinedFrames:
-    """Frames of which each is a file."""
+class JoinedFrames(LazyFrames):
+    """Frames of which each is a file.
 
-    files: tuple[DicomFrames, ...]
+    Args:
+        files: One frame each, all alike.
+    """
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Frames, rows, columns and, for colour, 3."""
-        return (len(self.files), *self.files[0].shape[1:])
+    def __init__(self, files: tuple[DicomFrames, ...]) -> None:
+        super().__init__((len(files), *files[0].shape[1:]), files[0].dtype)
+        self._files = files
 
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of a pixel."""
-        return self.files[0].dtype
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self.files)
-
-    def __getitem__(self, index: int | slice) -> np.ndarray:
-        """Return one frame, or the frames of a slice."""
-        if not isinstance(index, slice):
-            return self.files[index][0]
-        chosen = self.files[index]
-        stack = np.empty((len(chosen), *self.shape[1:]), self.dtype)
-        for k, file in enumerate(chosen):
-            stack[k] = file[0]
-        return stack
+    def _read(self, frame: int) -> np.ndarray:
+        return self._files[frame][0]
 
 
 def read_dicom_cine(path: str | PathLike) -> Scan:

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from sonosweep.errors import FormatError, SonosweepError
-from sonosweep.io.lazy_index import read_indexed
+from sonosweep.scan import LazyFrames
 
 DAMAGE = (
     OSError,
@@ -146,7 +146,7 @@ def read_number_attribute(node: h5py.HLObject, name: str, count: int) -> list[fl
     return [float(value) for value in np.ravel(node.attrs[name])]
 
 
-class HDF5Frames:
+class HDF5Frames(LazyFrames):
     """Frames of an HDF5 data set, read when indexed; can be pickled and used after a fork.
 
     Args:
@@ -166,27 +166,9 @@ class HDF5Frames:
         dtype: np.dtype,
         axes: tuple[int, ...] | None = None,
     ) -> None:
+        super().__init__(shape, dtype)
         self._path, self._name, self._axes = path, dataset, axes
-        self._shape, self._dtype = shape, dtype
         self._open: tuple[int, h5py.Dataset] | None = None
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Frames, rows, columns and, for colour, channels."""
-        return self._shape
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of a pixel."""
-        return self._dtype
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return self._shape[0]
-
-    def __getitem__(self, index: int | slice) -> np.ndarray:
-        """Return one frame, or the frames of a slice."""
-        return read_indexed(index, self._shape, self._dtype, self._read)
 
     def __getstate__(self) -> dict:
         """Return everything but the open file, which another process cannot use."""

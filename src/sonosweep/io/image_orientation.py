@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonosweep.errors import ScanError
-from sonosweep.scan import Frames
+from sonosweep.scan import Frames, LazyFrames
 
 KNOWN_ORIENTATIONS = ("MF", "MN", "UF", "UN", "FM", "FU", "NM", "NU")
 
@@ -57,42 +57,25 @@ def check_orientation(letters: str) -> str:
     return letters.strip().upper()
 
 
-class TurnedFrames:
+class TurnedFrames(LazyFrames):
     """Frames turned on the way out. Nothing is read until a frame is asked for."""
 
     def __init__(self, frames: Frames, turn: Turn) -> None:
-        self._frames = frames
-        self._turn = turn
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Frames, rows, columns and, for colour, channels."""
-        count, rows, columns, *channels = self._frames.shape
-        if self._turn.transpose:
+        count, rows, columns, *channels = frames.shape
+        if turn.transpose:
             rows, columns = columns, rows
-        return (count, rows, columns, *channels)
+        super().__init__((count, rows, columns, *channels), frames.dtype)
+        self._frames, self._turn = frames, turn
 
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of a pixel."""
-        return self._frames.dtype
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self._frames)
-
-    def __getitem__(self, index: int | slice) -> np.ndarray:
-        """Return one frame, or the frames of a slice."""
-        frames = self._frames[index]
-        first = 1 if isinstance(index, slice) else 0
-        rows, columns = first, first + 1
+    def _read(self, frame: int) -> np.ndarray:
+        pixels = self._frames[frame]
         if self._turn.transpose:
-            frames = np.swapaxes(frames, rows, columns)
+            pixels = np.swapaxes(pixels, 0, 1)
         if self._turn.flip_rows:
-            frames = np.flip(frames, rows)
+            pixels = np.flip(pixels, 0)
         if self._turn.flip_columns:
-            frames = np.flip(frames, columns)
-        return np.ascontiguousarray(frames)
+            pixels = np.flip(pixels, 1)
+        return np.ascontiguousarray(pixels)
 
 
 def turn_frames(frames: Frames, turn: Turn | None) -> Frames:

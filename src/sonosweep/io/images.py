@@ -19,9 +19,8 @@ from PIL import Image
 from sonosweep.errors import FormatError, SonosweepError
 from sonosweep.io.atomic import write_beside
 from sonosweep.io.hdf5_access import first_line
-from sonosweep.io.lazy_index import read_indexed
 from sonosweep.io.pose_table import read_pose_table
-from sonosweep.scan import Calibration, Frames, Scan
+from sonosweep.scan import Calibration, Frames, LazyFrames, Scan
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 FORMATS = ("PNG", "TIFF", "JPEG", "BMP")
@@ -115,7 +114,7 @@ def write_images(frames: Frames, folder: str | os.PathLike) -> None:
             Image.fromarray(np.ascontiguousarray(frames[i])).save(temporary, "PNG")
 
 
-class ImageFrames:
+class ImageFrames(LazyFrames):
     """Images read when indexed; all have the size and kind that was found on opening.
 
     Args:
@@ -125,26 +124,12 @@ class ImageFrames:
     """
 
     def __init__(self, pages: list[tuple[Path, int]], size: tuple[int, int], kind: str) -> None:
+        _, dtype, channels = PIXEL_KINDS[kind]
+        columns, rows = size
+        super().__init__(
+            (len(pages), rows, columns, *([channels] if channels else [])), np.dtype(dtype)
+        )
         self._pages, self._size, self._kind = pages, size, kind
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Frames, rows, columns and, for colour, channels."""
-        channels = PIXEL_KINDS[self._kind][2]
-        return (len(self._pages), self._size[1], self._size[0], *([channels] if channels else []))
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of a pixel."""
-        return np.dtype(PIXEL_KINDS[self._kind][1])
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self._pages)
-
-    def __getitem__(self, index: int | slice) -> np.ndarray:
-        """Return one frame, or the frames of a slice."""
-        return read_indexed(index, self.shape, self.dtype, self._read)
 
     def _read(self, frame: int) -> np.ndarray:
         file, page = self._pages[frame]

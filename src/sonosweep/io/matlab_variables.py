@@ -20,7 +20,6 @@ from sonosweep.io.hdf5_access import (
     open_hdf5,
     read_text_attribute,
 )
-from sonosweep.io.lazy_index import read_indexed
 from sonosweep.io.matlab_v5 import (
     LARGEST_ELEMENT_BYTES,
     OldArray,
@@ -30,7 +29,7 @@ from sonosweep.io.matlab_v5 import (
     read_fields,
     read_numbers,
 )
-from sonosweep.scan import Frames
+from sonosweep.scan import Frames, LazyFrames
 
 DEPTH = 4  # structs in structs
 
@@ -75,7 +74,7 @@ class LoadOld:
             return read_numbers(element, parse_array(element, order), order)
 
 
-class LoadedFrames:
+class LoadedFrames(LazyFrames):
     """Frames of an older file, which are read all at once when the first is asked for.
 
     Args:
@@ -86,26 +85,9 @@ class LoadedFrames:
     """
 
     def __init__(self, path: Path, shape: tuple[int, ...], dtype: np.dtype, load: LoadOld) -> None:
-        self._path, self._shape, self._dtype, self._load = path, shape, dtype, load
+        super().__init__(shape, dtype)
+        self._path, self._load = path, load
         self._array: np.ndarray | None = None
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Frames, rows, columns and, for colour, channels."""
-        return self._shape
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of a pixel."""
-        return self._dtype
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return self._shape[0]
-
-    def __getitem__(self, index: int | slice) -> np.ndarray:
-        """Return one frame, or the frames of a slice."""
-        return read_indexed(index, self._shape, self._dtype, self._read)
 
     def __getstate__(self) -> dict:
         """Return everything but what was loaded."""

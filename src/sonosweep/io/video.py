@@ -21,8 +21,7 @@ from av.video.frame import VideoFrame
 
 from sonosweep.errors import FormatError, SonosweepError
 from sonosweep.io.hdf5_access import first_line
-from sonosweep.io.lazy_index import read_indexed
-from sonosweep.scan import Scan
+from sonosweep.scan import LazyFrames, Scan
 
 # Playlists and scripts are left out: they make FFmpeg open other files and addresses.
 CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,asf,gif,ogg,flv,nut"
@@ -135,7 +134,7 @@ def index_video(path: Path) -> VideoIndex:
         )
 
 
-class VideoFrames:
+class VideoFrames(LazyFrames):
     """Frames decoded when indexed; can be pickled and used after a fork.
 
     Args:
@@ -145,29 +144,15 @@ class VideoFrames:
     """
 
     def __init__(self, path: Path, index: VideoIndex, gray: bool) -> None:
-        self._path, self._index, self._gray = path.absolute(), index, gray
+        columns, rows = index.size
         self._deep = gray and index.pixel_format.startswith(("gray1", "gray9"))
+        super().__init__(
+            (len(index.ticks), rows, columns, *([] if gray else [3])),
+            np.dtype(np.uint16 if self._deep else np.uint8),
+        )
+        self._path, self._index, self._gray = path.absolute(), index, gray
         self._number = {tick: i for i, tick in enumerate(index.ticks)}
         self._forget()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Frames, rows, columns and, for colour, channels."""
-        columns, rows = self._index.size
-        return (len(self._index.ticks), rows, columns, *([] if self._gray else [3]))
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of a pixel."""
-        return np.dtype(np.uint16 if self._deep else np.uint8)
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self._index.ticks)
-
-    def __getitem__(self, index: int | slice) -> np.ndarray:
-        """Return one frame, or the frames of a slice."""
-        return read_indexed(index, self.shape, self.dtype, self._read)
 
     def __getstate__(self) -> dict:
         """Return everything but the decoder and what it decoded."""

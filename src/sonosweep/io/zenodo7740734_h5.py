@@ -28,14 +28,13 @@ from sonosweep.io.hdf5_access import (
     open_hdf5,
     read_array,
 )
-from sonosweep.io.lazy_index import read_indexed
 from sonosweep.io.rounded_poses import unround_poses
 from sonosweep.io.zenodo7740734 import (
     CALIBRATION_NAME,
     image_to_probe_of,
     read_zenodo_calibration,
 )
-from sonosweep.scan import Calibration, Scan, pixel_to_image
+from sonosweep.scan import Calibration, LazyFrames, Scan, pixel_to_image
 
 SHRINK = 4
 LARGEST_COUNT = 100_000
@@ -97,7 +96,7 @@ def shrink_calibration(calibration: Calibration, factor: int) -> Calibration:
     )
 
 
-class NumberedFrames:
+class NumberedFrames(LazyFrames):
     """Frames that are one data set each, ``PREFIX0000`` and on, read when indexed.
 
     Args:
@@ -110,25 +109,8 @@ class NumberedFrames:
     def __init__(
         self, path: Path, prefix: str, shape: tuple[int, int, int], dtype: np.dtype
     ) -> None:
-        self._path, self._prefix, self._shape, self._dtype = path, prefix, shape, dtype
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Frames, rows and columns."""
-        return self._shape
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of a pixel."""
-        return self._dtype
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return self._shape[0]
-
-    def __getitem__(self, index: int | slice) -> np.ndarray:
-        """Return one frame, or the frames of a slice."""
-        return read_indexed(index, self._shape, self._dtype, self._read)
+        super().__init__(shape, dtype)
+        self._path, self._prefix = path, prefix
 
     def _read(self, frame: int) -> np.ndarray:
         with open_hdf5(self._path) as file:

@@ -5,7 +5,7 @@ from sonosweep.scan.channel_data import ChannelData
 from sonosweep.scan.clock import MatchReport, match_poses
 from sonosweep.scan.crop import crop_scan, crop_scan_center, resample_scan
 from sonosweep.scan.find_region import find_region
-from sonosweep.scan.frames import Frames, FrameView
+from sonosweep.scan.frames import Frames, FrameView, LazyFrames
 from sonosweep.scan.latency import LagEstimate, estimate_lag, estimate_latency
 from sonosweep.scan.probe import Probe
 from sonosweep.scan.region import Region
@@ -22,6 +22,7 @@ __all__ = [
     "FrameView",
     "Frames",
     "LagEstimate",
+    "LazyFrames",
     "MatchReport",
     "Probe",
     "Region",

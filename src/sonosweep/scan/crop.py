@@ -11,7 +11,7 @@ from torch import Tensor
 from sonosweep.errors import ScanError
 from sonosweep.geometry import pose_from_parts
 from sonosweep.scan.calibration import Calibration, pixel_to_image
-from sonosweep.scan.frames import Frames, FrameView
+from sonosweep.scan.frames import Frames, FrameView, LazyFrames
 from sonosweep.scan.region import Region
 from sonosweep.scan.scan import Scan
 
@@ -89,35 +89,16 @@ def resample_scan(scan: Scan, width: int = 256, height: int = 256) -> Scan:
     return _move_origin(replace(resized, calibration=replace(old, spacing_mm=spacing)), shift)
 
 
-class ResizedFrames:
+class ResizedFrames(LazyFrames):
     """Frames resized as they are read, each output pixel the mean of the area it covers."""
 
     def __init__(self, frames: Frames, width: int, height: int) -> None:
-        self._frames, self._size = frames, (width, height)
+        super().__init__((len(frames), height, width, *frames.shape[3:]), frames.dtype)
+        self._frames = frames
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Frames, rows, columns and, for colour, channels."""
-        return (len(self._frames), self._size[1], self._size[0], *self._frames.shape[3:])
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of a pixel."""
-        return np.dtype(self._frames.dtype)
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self._frames)
-
-    def __getitem__(self, index: int | slice) -> np.ndarray:
-        """Return one frame, or the frames of a slice."""
-        if isinstance(index, slice):
-            chosen = range(*index.indices(len(self)))
-            stack = np.empty((len(chosen), *self.shape[1:]), self.dtype)
-            for k, source in enumerate(chosen):
-                stack[k] = self[source]
-            return stack
-        return resize_frame(np.asarray(self._frames[index]), *self._size)
+    def _read(self, frame: int) -> np.ndarray:
+        rows, columns = self.shape[1:3]
+        return resize_frame(np.asarray(self._frames[frame]), columns, rows)
 
 
 def resize_frame(frame: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Frames that need not be in memory: what every reader gives and every consumer takes."""
 
+import operator
+from abc import ABC, abstractmethod
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -33,7 +35,53 @@ class Frames(Protocol):
         ...
 
 
-class FrameView:
+class LazyFrames(ABC):
+    """Frames that are read one by one when indexed, as NumPy would index them.
+
+    A subclass says how one frame is read.
+
+    Args:
+        shape: Frames, rows, columns and, for colour, channels.
+        dtype: Type of a pixel.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: np.dtype) -> None:
+        self._shape, self._dtype = tuple(shape), np.dtype(dtype)
+
+    @abstractmethod
+    def _read(self, frame: int) -> np.ndarray:
+        """Return the frame of a number from 0, in an array that the caller may keep."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Frames, rows, columns and, for colour, channels."""
+        return self._shape
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of a pixel."""
+        return self._dtype
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return self._shape[0]
+
+    def __getitem__(self, index: int | slice) -> np.ndarray:
+        """Return one frame, or the frames of a slice.
+
+        Raises:
+            IndexError: If there is no such frame; negative numbers count from the end.
+        """
+        if not isinstance(index, slice):
+            return self._read(range(len(self))[operator.index(index)])
+        chosen = range(len(self))[index]
+        stack = np.empty((len(chosen), *self._shape[1:]), self._dtype)
+        for k, frame in enumerate(chosen):
+            stack[k] = self._read(frame)
+        return stack
+
+
+class FrameView(LazyFrames):
     """Frames changed on the way out: a selection of them, a crop, another pixel type.
 
     Nothing is read until a frame is asked for.
@@ -55,39 +103,17 @@ class FrameView:
     ) -> None:
         self._frames = frames
         self._indices = np.arange(len(frames)) if indices is None else np.asarray(indices)
-        columns, rows = frames.shape[2], frames.shape[1]
-        self._rectangle = rectangle_px or (0, 0, columns, rows)
+        self._rectangle = rectangle_px or (0, 0, frames.shape[2], frames.shape[1])
         self._gray = gray and len(frames.shape) == 4
+        channels = () if self._gray else tuple(frames.shape[3:])
+        _, _, width, height = self._rectangle
+        super().__init__((len(self._indices), height, width, *channels), frames.dtype)
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Frames, rows, columns and, for colour, channels."""
-        channels = () if self._gray else tuple(self._frames.shape[3:])
-        return (len(self._indices), self._rectangle[3], self._rectangle[2], *channels)
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of a pixel."""
-        return np.dtype(self._frames.dtype)
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self._indices)
-
-    def __getitem__(self, index: int | slice) -> np.ndarray:
-        """Return one frame, or the frames of a slice."""
-        if isinstance(index, slice):
-            chosen = self._indices[index]
-            stack = np.empty((len(chosen), *self.shape[1:]), self.dtype)
-            for k, source in enumerate(chosen):
-                stack[k] = self._read(int(source))
-            return stack
-        return self._read(int(self._indices[index]))
-
-    def _read(self, source: int) -> np.ndarray:
+    def _read(self, frame: int) -> np.ndarray:
         column, row, width, height = self._rectangle
-        frame = np.asarray(self._frames[source])[row : row + height, column : column + width]
-        return _brightness(frame) if self._gray else frame
+        source = np.asarray(self._frames[int(self._indices[frame])])
+        pixels = source[row : row + height, column : column + width]
+        return _brightness(pixels) if self._gray else pixels
 
 
 def _brightness(colour: np.ndarray) -> np.ndarray:
