@@ -23,6 +23,7 @@ from sonosweep.reconstruct import (
     VolumeSettings,
     estimate_bytes,
     gathers,
+    must_compile,
     reconstruct_scan,
     sweep_grid,
 )
@@ -117,6 +118,8 @@ def make_volumes(scan: Scan, trajectory: Trajectory, settings: VolumeSettings) -
     size = " x ".join(str(n) for n in settings.grid.size)
     needed = describe_bytes(count * estimate_bytes(settings.grid, scan.frames.dtype.itemsize))
     print(f"compounding into {count} volume(s) of {size} voxels, {needed}", file=sys.stderr)
+    if must_compile("gather" if gathers(settings) else "forward"):
+        print("compiling the kernels, once on this machine", file=sys.stderr)
     with progress("compounding") as show:
         return reconstruct_scan(scan, trajectory, settings, show)
 

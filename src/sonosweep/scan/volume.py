@@ -68,8 +68,8 @@ class Volume:
     Attributes:
         voxels: Array ``(z, y, x)``, or ``(z, y, x, channels)``; x varies fastest in memory.
         grid: Where the voxels are.
-        coverage: Array ``(z, y, x)`` of 0 (nothing was seen here) to 255 (as much as the
-            best-seen voxel, or more than can be counted); ``None`` if not kept.
+        coverage: Array ``(z, y, x)`` of how many frames or pixels made each voxel: 0 where
+            nothing was seen, 255 for that many or more; ``None`` if not kept.
         settings: How it was made, by name.
     """
 
