@@ -52,3 +52,23 @@ def common(a, b):
     assert all(0 <= n - m <= 1 for n, m in zip(a.shape, b.shape, strict=True)), (a.shape, b.shape)
     size = tuple(slice(n) for n in np.minimum(a.shape, b.shape))
     return a[size], b[size]
+
+
+def test_what_is_not_followed_is_said(run, sweep, tmp_path):
+    """A PLUS user reads which words of the configuration changed nothing."""
+    (tmp_path / "plus.xml").write_text(
+        '<PlusConfiguration><VolumeReconstruction OutputSpacing="0.4 0.4 0.4" FillHoles="ON"'
+        ' EnableFanAnglesAutoDetect="TRUE" Colour="blue"><HoleFilling>'
+        '<HoleFillingElement Type="GAUSSIAN" Size="5" Stdev="1" MinimumKnownVoxelsRatio="0.5"/>'
+        '<HoleFillingElement Type="STICK" StickLengthLimit="9" NumberOfSticksToUse="1"/>'
+        "</HoleFilling></VolumeReconstruction></PlusConfiguration>"
+    )
+
+    ran = run(
+        "reconstruct", sweep, "--poses", "tracked", "--plus-config", "plus.xml", "-o", "out"
+    )  # fmt: skip
+
+    assert ran.code == 0, ran.error
+    (line,) = [line for line in ran.error.splitlines() if line.startswith("not followed")]
+    for word in ("plus.xml", "Colour", "EnableFanAnglesAutoDetect", "GAUSSIAN", "STICK"):
+        assert word in line

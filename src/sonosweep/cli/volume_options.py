@@ -1,6 +1,7 @@
 """Options that say how volumes are made, in PLUS's words."""
 
 import math
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -64,8 +65,10 @@ def volume_settings(options: VolumeOptions, plus_config: Path | None) -> "Volume
     if plus_config is not None:
         from sonosweep.io.plus_config import read_plus_config
 
-        found = read_plus_config(plus_config).reconstruction
-        settings = settings if found is None else _from_plus(found)
+        config = read_plus_config(plus_config)
+        if config.reconstruction is not None:
+            settings = _from_plus(config.reconstruction)
+            _say_what_is_not_followed(config.reconstruction, config.ignored, plus_config)
     if (options.fan_angles_deg is None) != (options.fan_origin_px is None):
         raise ScanError("a fan needs both --fan-angles-deg and --fan-origin-px")
     if options.reject_below is not None and not math.isfinite(options.reject_below):
@@ -126,6 +129,22 @@ def _from_plus(plus: "VolumeReconstructionSettings") -> "VolumeSettings":
         fill_mm=fill_mm,
         threads=plus.number_of_threads or None,
     )
+
+
+def _say_what_is_not_followed(
+    plus: "VolumeReconstructionSettings", unknown: tuple[str, ...], file: Path
+) -> None:
+    """Name on standard error what a PLUS configuration asks for and we do not do."""
+    names = list(unknown)
+    if plus.detect_fan_angles:
+        names.append("EnableFanAnglesAutoDetect (the sector stays as FanAnglesDeg says)")
+    if plus.fill_holes:
+        first, *others = plus.hole_filling
+        if first.type.startswith("GAUSSIAN"):
+            names.append(f"{first.type} (holes are filled by inverse distance)")
+        names += [f"{step.type} (only the first way to fill holes is used)" for step in others]
+    if names:
+        print(f"not followed from {file.name}: {', '.join(names)}", file=sys.stderr)
 
 
 def _filling(
