@@ -21,13 +21,20 @@ def info(
 ) -> None:
     """Say what a file holds: frames, pixel size, times, poses, transforms, and what is missing.
 
+    Of a trajectory or a volume: its poses or voxels, their size and how they were made.
+
     Args:
-        scan: File or folder of the sweep.
+        scan: File or folder of the sweep, or a file of results.
         estimate_lag: Tracker recording (.igs.mha, csv or TUM) of the same motion: say how
             far the frame times are behind it.
     """
+    from sonosweep.cli.info_results import describe_result
     from sonosweep.cli.output import say
 
+    result = describe_result(scan)
+    if result is not None and estimate_lag is None:
+        say(_aligned(result[0]), result[1], json)
+        return
     recorded = read(scan, inputs)
     facts = describe(recorded)
     facts["transforms"] = _transforms(scan, inputs)
@@ -145,6 +152,10 @@ def _table(facts: dict[str, Any]) -> str:
                 f" (correlation {lag['correlation']:.3f})",
             )
         )
+    return _aligned(lines)
+
+
+def _aligned(lines: list[tuple[str, str]]) -> str:
     width = max(len(label) for label, _ in lines)
     return "\n".join(f"{label:<{width}}  {text}" for label, text in lines)
 
