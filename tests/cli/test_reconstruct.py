@@ -38,6 +38,16 @@ def test_tracked_sweep_to_volume(run, sweep, tmp_path):
     assert volume.voxels.mean() > 50
 
 
+def test_the_curve_for_slicer_follows_the_middle_of_the_image(run, sweep, tmp_path):
+    """80 x 96 pixels of 0.2 mm: the middle is 7.9 mm to the side and 9.5 mm deep."""
+    assert run("reconstruct", sweep, "--poses", "tracked", "-o", "out").code == 0
+
+    curve = json.loads((tmp_path / "out" / "trajectory.mrk.json").read_text())
+    first = curve["markups"][0]["controlPoints"][0]["position"]
+
+    assert first == pytest.approx([-7.9, -9.5, 0])  # LPS of a reference that Slicer takes as RAS
+
+
 def test_sensorless_sweep_tells_how_far_it_is_off(run, sweep, tmp_path):
     """Without the poses the same sweep is estimated, and compared with them in words."""
     ran = run("reconstruct", sweep, "-o", "out", "--json")

@@ -47,7 +47,7 @@ def run_demo(folder: Path) -> JobResult:
     for name, trajectory in (("tracked", tracked), ("sensorless", sensorless)):
         volumes[name] = make_volumes(scan, trajectory, settings)
         (folder / name).mkdir()
-        written = write_results(folder / name, trajectory, volumes[name])
+        written = write_results(folder / name, scan, trajectory, volumes[name])
         files += [f"{name}/{file}" for file in written]
     compared, words = compare_run("sensorless", scan, sensorless, volumes["sensorless"])
     runs = (report_run("tracked", tracked, volumes["tracked"]), compared)

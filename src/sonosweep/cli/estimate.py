@@ -25,7 +25,7 @@ def estimate(
         scan: File or folder of the sweep.
         output: Where to write: .csv, .txt (TUM), .igs.mha, .tfm or .mrk.json.
     """
-    from sonosweep.cli.info import path_length_mm
+    from sonosweep.cli.info import image_center_mm, path_length_mm
     from sonosweep.cli.motion import find_trajectory
     from sonosweep.cli.output import check_free, say
     from sonosweep.io import write_trajectory
@@ -34,7 +34,7 @@ def estimate(
     check_name(output)
     check_free(output, force)
     recorded, trajectory = find_trajectory(read(scan, inputs), motion or MotionOptions())
-    write_trajectory(trajectory, output)
+    write_trajectory(trajectory, output, point_mm=image_center_mm(recorded))
     length = path_length_mm(recorded, trajectory.image_to_reference)
     frames = len(trajectory.image_to_reference)
     say(

@@ -83,14 +83,23 @@ def path_length_mm(scan: "Scan", image_to_reference: "Tensor") -> float:
     import torch
 
     from sonosweep.metrics.trajectory import path_length
+
+    center = torch.tensor([*image_center_mm(scan), 0.0], dtype=torch.float64)
+    return float(path_length(image_to_reference, center))
+
+
+def image_center_mm(scan: "Scan") -> tuple[float, float]:
+    """Return the centre of the frame (lateral, axial); the origin if a pixel's size is unknown."""
+    import torch
+
     from sonosweep.scan import pixel_to_image
 
-    center = torch.zeros(3, dtype=torch.float64)
-    if scan.calibration is not None:
-        rows, columns = scan.frames.shape[1:3]
-        middle = torch.tensor([(columns - 1) / 2, (rows - 1) / 2, 0, 1], dtype=torch.float64)
-        center = (pixel_to_image(scan.calibration) @ middle)[:3]
-    return float(path_length(image_to_reference, center))
+    if scan.calibration is None:
+        return 0.0, 0.0
+    rows, columns = scan.frames.shape[1:3]
+    middle = torch.tensor([(columns - 1) / 2, (rows - 1) / 2, 0, 1], dtype=torch.float64)
+    x, y, *_ = (pixel_to_image(scan.calibration) @ middle).tolist()
+    return x, y
 
 
 def _transforms(path: Path, inputs: InputOptions | None) -> list[str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sonosweep import __version__
+from sonosweep.cli.info import image_center_mm
 from sonosweep.cli.inputs import InputOptions, read
 from sonosweep.cli.motion import MotionOptions, find_trajectory, locate
 from sonosweep.cli.output import plain
@@ -80,7 +81,7 @@ def run_job(path: Path, folder: Path, job: Job) -> JobResult:
     else:
         run, words = compare_run("sensorless", scan, trajectory, volumes)
     world = job.world or ("lps" if _is_plus_job(job) else "ras")
-    files = write_results(folder, trajectory, volumes, world, job.volume_format)
+    files = write_results(folder, scan, trajectory, volumes, world, job.volume_format)
     report = make_report(scan, (run,), words, (*files, "report.html", "summary.json"))
     write_report(folder / "report.html", report)
     summary = {**summarize(scan, (run,), volumes[B_MODE], report), "world": world}
@@ -184,6 +185,7 @@ def make_report(
 
 def write_results(
     folder: Path,
+    scan: Scan,
     trajectory: Trajectory,
     volumes: Mapping[str, Volume],
     world: Literal["ras", "lps"] = "ras",
@@ -202,7 +204,7 @@ def write_results(
         write_volume(coverage, folder / f"coverage{ending}", world)
         names.append(f"coverage{ending}")
     for name in ("trajectory.csv", "trajectory.mrk.json"):
-        write_trajectory(trajectory, folder / name, world)
+        write_trajectory(trajectory, folder / name, world, image_center_mm(scan))
         names.append(name)
     names.append(write_slicer_script(folder).name)
     return tuple(names)
