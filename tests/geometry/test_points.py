@@ -48,6 +48,26 @@ def test_alignment_of_a_flat_set_is_not_a_reflection(a_to_b):
     assert_close(found, a_to_b, atol=ROUND_OFF_MM, rtol=0)
 
 
+@given(poses(), st.integers(0, 2**31 - 1))
+def test_alignment_of_noisy_points_agrees_with_scipy(a_to_b, seed):
+    """With weights and noise the rotation is SciPy's, and the weighted means meet."""
+    generator = torch.Generator().manual_seed(seed)
+    points = 50 * torch.randn(9, 3, generator=generator, dtype=torch.float64)
+    noise = torch.randn(9, 3, generator=generator, dtype=torch.float64)
+    weights = torch.rand(9, generator=generator, dtype=torch.float64) + 0.1
+    moved = transform_points(a_to_b, points) + noise
+
+    found = align_points(points, moved, weights)
+
+    mean, moved_mean = ((weights @ part) / weights.sum() for part in (points, moved))
+    oracle, _ = Rotation.align_vectors(
+        (moved - moved_mean).numpy(), (points - mean).numpy(), weights.numpy()
+    )
+    expected = torch.tensor(oracle.as_matrix())
+    assert_close(found[:3, :3], expected, atol=SQRT_ROUND_OFF_MM, rtol=0)
+    assert_close(transform_points(found, mean[None])[0], moved_mean, atol=ROUND_OFF_MM, rtol=0)
+
+
 def test_weights_leave_points_out():
     """An outlier of weight 0 does not count; no weight at all is an error."""
     points = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=torch.float64)
