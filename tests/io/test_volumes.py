@@ -2,6 +2,7 @@
 
 import resource
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,20 @@ def test_voxel_types_survive(tmp_path: Path, suffix: str, dtype: str):
     np.testing.assert_allclose(seen, volume.voxels, rtol=0, atol=0.51 * step)
 
 
+@pytest.mark.parametrize("dtype", ["int8", "int32", "uint32", "int64", "float64", "bool"])
+@pytest.mark.parametrize("suffix", [".nrrd", ".mha", ".nii.gz"])
+def test_rarer_voxel_types_survive(tmp_path: Path, suffix: str, dtype: str):
+    """Whatever a recording holds can become a volume; a mask becomes 0 and 1."""
+    volume = random_volume(np.random.default_rng(3))
+    volume = replace(volume, voxels=(volume.voxels > 99).astype(dtype))
+    path = tmp_path / f"volume{suffix}"
+
+    write_volume(volume, path)
+
+    assert read_volume(path).voxels.dtype == ("uint8" if dtype == "bool" else dtype)
+    assert np.array_equal(sitk.GetArrayFromImage(itk_image(path)), volume.voxels)
+
+
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_color_volumes_survive(tmp_path: Path, suffix: str):
     """Three channels of 8 bits stay three channels, in their order."""
@@ -239,7 +254,7 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path: Path, suffix: str):
     assert_one_sentence(caught.value)
 
 
-@pytest.mark.parametrize("suffix", [".nrrd", ".nii", ".nii.gz", ""])
+@pytest.mark.parametrize("suffix", FORMATS)
 @pytest.mark.parametrize("dtype", ["complex64", "float16"])
 def test_types_without_a_place_are_refused(tmp_path: Path, suffix: str, dtype: str):
     """Complex and half-precision voxels are refused by name instead of changed."""

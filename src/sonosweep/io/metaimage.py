@@ -12,6 +12,7 @@ import numpy as np
 from sonosweep.errors import FormatError, ScanError
 from sonosweep.io.atomic import write_beside
 from sonosweep.io.metaimage_header import (
+    ELEMENT_TYPES,
     OWN_PREFIX,
     MetaImageHeader,
     element_type,
@@ -22,10 +23,11 @@ from sonosweep.io.metaimage_header import (
     write_header_and_pixels,
 )
 from sonosweep.io.pixel_data import read_pixels
+from sonosweep.io.voxels import with_stored_type
 from sonosweep.io.world import World, grid_from_lps, lps_from_grid
 from sonosweep.scan import Volume
 
-VOLUME_TYPES = ("uint8", "uint16", "int16", "float32")
+VOLUME_TYPES = frozenset(np.dtype(code).name for code in ELEMENT_TYPES.values())
 
 
 def read_metaimage(path: str | os.PathLike, world: World = "ras") -> Volume:
@@ -103,24 +105,20 @@ def write_metaimage(
     """Write a volume as one ``.mha`` file, with its settings and the world it is in.
 
     Args:
-        volume: Voxels of uint8, uint16, int16 or float32, with or without channels. Its
-            coverage is a volume of its own and is not written.
+        volume: With or without channels. Its coverage is a volume of its own and is not
+            written.
         path: Where to; the suffix must be ``.mha``.
         world: Which patient axes the file claims, see :mod:`sonosweep.io.world`.
         compress: Whether to compress the voxels with zlib.
 
     Raises:
-        FormatError: If the suffix is another or the file cannot be written.
-        ScanError: If the voxels have another type.
+        FormatError: If the suffix is another, MetaImage has no such voxel type, or the file
+            cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() != ".mha":
         raise FormatError(f"cannot write '{path}': a MetaImage volume's name ends with .mha")
-    if volume.voxels.dtype.name not in VOLUME_TYPES:
-        raise ScanError(
-            f"cannot write {volume.voxels.dtype.name} voxels to '{path}': convert them to one"
-            f" of {', '.join(VOLUME_TYPES)}"
-        )
+    volume = with_stored_type(volume, VOLUME_TYPES, path)
     origin, axes = lps_from_grid(volume.grid, world)
     channels = volume.voxels.shape[3] if volume.voxels.ndim == 4 else 1
     fields = {
