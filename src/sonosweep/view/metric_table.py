@@ -31,10 +31,13 @@ MEANINGS: dict[str, tuple[str, str]] = {
     "correlation_cosine": ("Corr, cosine", "Likeness of point coordinates over time; 1 is best."),
     "correlation_pearson": ("Corr, Pearson", "Likeness of how points move; 1 is best."),
     "final_drift_mm": ("Final drift (FD)", "How far the last frame ends from its true place."),
-    "final_drift_rate_path_percent": ("FDR per path", "Final drift per length of the true path."),
+    "final_drift_rate_path_percent": (
+        "FDR per path",
+        "Final drift per length of the true path: the paper's text.",
+    ),
     "final_drift_rate_chord_percent": (
         "FDR per chord",
-        "Final drift per straight line from first to last frame.",
+        "Final drift per straight line from first to last frame: the paper's code.",
     ),
     "median_drift_mm": ("Median drift", "Half of the frames are closer to their true place."),
     "maximum_drift_mm": ("Largest drift", "The frame that is farthest from its true place."),
