@@ -18,23 +18,13 @@ from jaxtyping import Float
 from sonosweep.errors import FormatError
 from sonosweep.io.atomic import write_beside
 from sonosweep.io.guard import LARGEST_DEFLATE_RATIO, Readable, check_size, read_array, refusing
+from sonosweep.io.sequence_nrrd import VALUE_TYPES
 from sonosweep.io.voxels import lps_matrix, stated_world, volume_from_lps, with_stored_type
 from sonosweep.io.world import World
 from sonosweep.scan import Volume
 
 # NumPy's name of each voxel type and the names that NRRD has for it; we write the first.
-TYPES = {
-    "int8": ("int8", "signed char", "int8_t"),
-    "uint8": ("uint8", "uchar", "unsigned char", "uint8_t"),
-    "int16": ("int16", "short", "short int", "signed short", "int16_t"),
-    "uint16": ("uint16", "ushort", "unsigned short", "unsigned short int", "uint16_t"),
-    "int32": ("int32", "int", "signed int", "int32_t"),
-    "uint32": ("uint32", "uint", "unsigned int", "uint32_t"),
-    "int64": ("int64", "longlong", "long long", "signed long long", "int64_t"),
-    "uint64": ("uint64", "ulonglong", "unsigned long long", "uint64_t"),
-    "float32": ("float",),
-    "float64": ("double",),
-}
+TYPES = {np.dtype(code).name: words for code, words in VALUE_TYPES.items()}
 # Level 1 is five times faster than the usual 9 and the file is as small.
 COMPRESSION_LEVEL = 1
 LARGEST_HEADER_BYTES = 1 << 24
