@@ -15,15 +15,17 @@ from sonosweep.cli.job import (
     make_volumes,
     report_run,
     summarize,
+    unit_of,
     write_results,
 )
 from sonosweep.cli.motion import MotionOptions, find_trajectory, locate
 from sonosweep.cli.output import plain
 from sonosweep.io.demo_sweep import read_demo_sweep
-from sonosweep.metrics import align_first_frame
+from sonosweep.metrics import align_first_frame, compare_volumes
 from sonosweep.reconstruct import B_MODE, VolumeSettings, sweep_grid, tracked_trajectory
-from sonosweep.scan import Trajectory
+from sonosweep.scan import Trajectory, Volume
 from sonosweep.view import write_report
+from sonosweep.view.content import Metric
 
 VOXEL_MM = 0.8  # two and a half pixels: the report is quick to load
 
@@ -50,6 +52,8 @@ def run_demo(folder: Path) -> JobResult:
         written = write_results(folder / name, scan, trajectory, volumes[name])
         files += [f"{name}/{file}" for file in written]
     compared, words = compare_run("sensorless", scan, sensorless, volumes["sensorless"])
+    alike = _likeness(volumes["sensorless"][B_MODE], volumes["tracked"][B_MODE])
+    compared = replace(compared, metrics={**(compared.metrics or {}), **alike})
     runs = (report_run("tracked", tracked, volumes["tracked"]), compared)
     report = make_report(
         scan,
@@ -62,3 +66,9 @@ def run_demo(folder: Path) -> JobResult:
     summary = summarize(scan, runs, volumes["tracked"][B_MODE], report)
     (folder / "summary.json").write_text(json.dumps(plain(summary), indent=2) + "\n")
     return JobResult("\n".join([f"{scan.name}: {len(scan.frames)} frames.", *words]), summary)
+
+
+def _likeness(sensorless: Volume, tracked: Volume) -> dict[str, Metric]:
+    """Return how alike the two volumes are, with units."""
+    found = compare_volumes(sensorless, tracked).as_dict()
+    return {name: (value, unit_of(name)) for name, value in found.items()}
