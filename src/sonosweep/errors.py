@@ -15,11 +15,3 @@ class FormatError(SonosweepError, ValueError):
 
 class RecipeError(SonosweepError, ValueError):
     """A recipe or a calibration file holds something it must not."""
-
-
-class WeightsError(SonosweepError, ValueError):
-    """Weights do not fit the scan or the network."""
-
-
-class LinkError(SonosweepError, ConnectionError):
-    """A live connection failed."""

@@ -25,7 +25,6 @@ from sonosweep.io.guard import check_size, refusing
 COLORS = ("RGB", "YBR_FULL", "YBR_FULL_422", "YBR_ICT", "YBR_RCT")
 GRAYS = ("MONOCHROME1", "MONOCHROME2", "PALETTE COLOR")
 PIXEL_DATA = (0x7FE0, 0x0010)
-UNDEFINED_LENGTH = 0xFFFFFFFF
 # A black 8 x 8 block is at least 2 bits of JPEG (512 : 1 at 8 bits); what claims to be
 # smaller than twice that is a damaged header.
 LARGEST_RATIO = 1024
