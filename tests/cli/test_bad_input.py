@@ -130,7 +130,7 @@ def test_poses_that_are_missing_are_named(run, recordings, tmp_path):
     [
         (("--latency-ms", "60"), "--latency-ms is about the poses of a --pose-file"),
         (("--pose-of", "probe"), "--pose-of is about the poses of a --pose-file"),
-        (("--variable", "bmode"), "--variable chooses an array of a .mat file"),
+        (("--variable", "bmode"), "holds one scan: leave out --variable"),
         (("--image-orientation", "UF"), "--image-orientation says how"),
         (("--reject-below", "nan"), "--reject-below must be a gray level, got nan"),
         (("--pixel-spacing", "70000", "1"), "below 1000 mm, got 70000"),

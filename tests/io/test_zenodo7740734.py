@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from sonosweep.errors import FormatError
 from sonosweep.geometry import transform_points
+from sonosweep.io import open_scan
 from sonosweep.io.zenodo7740734 import read_zenodo7740734, read_zenodo_calibration
 from sonosweep.io.zenodo7740734_h5 import is_zenodo7740734_h5, read_zenodo7740734_h5
 from sonosweep.scan import pixel_to_image
@@ -229,6 +230,22 @@ def test_a_sweep_that_is_not_there_is_said(tmp_path):
 
     with pytest.raises(FormatError, match="no sweep 1 of subject 0"):
         read_zenodo7740734_h5(tmp_path / "frames_res4.h5", sweep=1)
+
+
+def test_a_sweep_is_chosen_by_its_name(tmp_path):
+    """Of a file of two sweeps the second is read by name, and the first says that it is one."""
+    path = tmp_path / "frames_res4.h5"
+    write_small(
+        path,
+        num_frames=np.array([[3, 1]]),
+        sub000_scan01_frame0000=np.full((6, 8), 77, np.uint8),
+        sub000_scan01_tform0000=probe_pose(0).astype(np.float32),
+    )
+
+    assert open_scan(path).notes["sweeps"] == "this is sub000_scan00, one of 2 in the file"
+    assert open_scan(path, variable="sub000_scan01").frames[0][0, 0] == 77
+    with pytest.raises(FormatError, match="such as sub003_scan07"):
+        open_scan(path, variable="scan01")
 
 
 @given(data=st.data(), which=st.sampled_from(["sweep", "small", "table", "csv"]))

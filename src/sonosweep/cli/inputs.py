@@ -31,7 +31,8 @@ class InputOptions:
         max_gap_ms: Longest time between two poses to interpolate over.
         pose_of: Whether the pose file's poses are of the image or of the probe, where the
             file does not say.
-        variable: Name of the frames in a .mat file that holds several arrays.
+        variable: Which frames of a file that holds several: the name of an array in a .mat
+            file, or sub003_scan07 in a frames_res4.h5.
     """
 
     plus_config: Path | None = None
@@ -71,7 +72,7 @@ def read(path: Path, options: InputOptions | None) -> "Scan":
 
 def _refuse_idle(path: Path, options: InputOptions) -> None:
     from sonosweep.errors import ScanError
-    from sonosweep.io.open import SEQUENCES
+    from sonosweep.io.open import HDF5, SEQUENCES
 
     usual = InputOptions()
     needs_poses = {
@@ -83,8 +84,10 @@ def _refuse_idle(path: Path, options: InputOptions) -> None:
     if idle is not None and options.pose_file is None:
         raise ScanError(f"{idle} is about the poses of a --pose-file: give that too")
     suffix = path.suffix.lower()
-    if options.variable is not None and suffix != ".mat":
-        raise ScanError(f"--variable chooses an array of a .mat file, and '{path.name}' is none")
+    if options.variable is not None and suffix not in (".mat", *HDF5):
+        raise ScanError(
+            f"--variable chooses an array of a .mat or .h5 file, and '{path.name}' is none"
+        )
     if options.image_orientation is not None and suffix not in SEQUENCES:
         raise ScanError(
             f"--image-orientation says how the images of a PLUS sequence lie, and '{path.name}'"

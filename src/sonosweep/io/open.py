@@ -49,7 +49,8 @@ def open_scan(
         max_gap_s: Longest time between two poses to interpolate over.
         pose_of: Whether the pose file's poses are of the image or of the probe, where the
             file does not say.
-        variable: Name of the frames in a ``.mat`` file that holds several arrays.
+        variable: Which frames of a file that holds several: the name of an array in a
+            ``.mat`` file, or ``sub003_scan07`` in a ``frames_res4.h5``.
 
     Raises:
         FormatError: If the file is missing, of no known format, or broken.
@@ -61,6 +62,7 @@ def open_scan(
     if not file.exists():
         raise FormatError(f"there is no '{file}'")
     scan = _read(file, plus_config, image_orientation, variable)
+    scan = replace(scan, name=printable(scan.name))
     if frame_rate_hz is not None:
         scan = with_frame_rate(scan, frame_rate_hz)
     if spacing_mm is not None:
@@ -70,6 +72,11 @@ def open_scan(
 
         scan = attach_poses(scan, Path(pose_file), latency_s, max_gap_s, pose_of)
     return scan
+
+
+def printable(text: str) -> str:
+    """Return text that any file can hold: bytes of a file name that are no text become ``?``."""
+    return text.encode("utf-8", "replace").decode()
 
 
 def with_spacing(scan: Scan, spacing_mm: tuple[float, float]) -> Scan:
@@ -123,7 +130,7 @@ def _read_sequence(
 
 def _read_other(file: Path, suffix: str, variable: str | None) -> Scan:
     if suffix in HDF5:
-        return _read_hdf5(file)
+        return _read_hdf5(file, variable)
     if suffix in VIDEOS:
         from sonosweep.io.video import read_video
 
@@ -141,20 +148,28 @@ def _read_other(file: Path, suffix: str, variable: str | None) -> Scan:
     raise FormatError(f"'{file.name}' is of no format we know; we read {KNOWN}")
 
 
-def _read_hdf5(file: Path) -> Scan:
+def _read_hdf5(file: Path, variable: str | None) -> Scan:
     """Ask each layout whether the file is one of its own."""
     from sonosweep.io.hdf5 import is_scan_hdf5, read_scan
     from sonosweep.io.imfusion_h5 import is_imfusion_h5, read_imfusion_h5
     from sonosweep.io.moglo import is_moglo, read_moglo
     from sonosweep.io.tusrec import is_tusrec, read_tusrec
-    from sonosweep.io.zenodo7740734_h5 import is_zenodo7740734_h5, read_zenodo7740734_h5
+    from sonosweep.io.zenodo7740734_h5 import (
+        is_zenodo7740734_h5,
+        parse_sweep_name,
+        read_zenodo7740734_h5,
+    )
 
+    if is_zenodo7740734_h5(file):
+        subject, sweep = (0, 0) if variable is None else parse_sweep_name(variable)
+        return read_zenodo7740734_h5(file, subject=subject, sweep=sweep)
+    if variable is not None:
+        raise FormatError(f"'{file.name}' holds one scan: leave out --variable {variable[:60]}")
     layouts: tuple[tuple[Callable[[Path], bool], Callable[[Path], Scan]], ...] = (
         (is_scan_hdf5, read_scan),
         (is_tusrec, read_tusrec),
         (is_moglo, read_moglo),
         (is_imfusion_h5, read_imfusion_h5),
-        (is_zenodo7740734_h5, read_zenodo7740734_h5),
     )
     for recognizes, read in layouts:
         if recognizes(file):

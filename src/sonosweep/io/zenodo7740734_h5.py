@@ -12,6 +12,7 @@ Differs:
 """
 
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,6 +39,7 @@ from sonosweep.scan import Calibration, LazyFrames, Scan, pixel_to_image
 
 SHRINK = 4
 LARGEST_COUNT = 100_000
+SWEEP_NAME = re.compile(r"sub(\d{3,6})_scan(\d{2,6})")
 
 
 def is_zenodo7740734_h5(path: str | os.PathLike) -> bool:
@@ -68,20 +70,35 @@ def read_zenodo7740734_h5(
     small = _small_calibration(Path(path), calibration)
     prefix = f"sub{subject:03d}_scan{sweep:02d}"
     with open_hdf5(path) as file:
-        count = _count_frames(file, subject, sweep)
+        count, sweeps = _count_frames(file, subject, sweep)
         frames = _open_frames(file, f"{prefix}_frame", count)
         tforms = [read_array(file, f"{prefix}_tform{i:04d}", (4, 4)) for i in range(count)]
     poses = None
     if small is not None:
         poses = unround_poses(torch.from_numpy(np.stack(tforms))) @ image_to_probe_of(small)
+    notes = {} if small else {"poses": f"not used: no {CALIBRATION_NAME} beside the file"}
+    if sweeps > 1:
+        notes["sweeps"] = f"this is {prefix}, one of {sweeps} in the file"
     return Scan(
         name=prefix,
         frames=frames,
         calibration=small,
         image_to_reference=poses,
         subject=f"sub{subject:03d}",
-        notes={} if small else {"poses": f"not used: no {CALIBRATION_NAME} beside the file"},
+        notes=notes,
     )
+
+
+def parse_sweep_name(name: str) -> tuple[int, int]:
+    """Return subject and sweep of a name such as ``sub003_scan07``, both from 0.
+
+    Raises:
+        FormatError: If it is no such name.
+    """
+    found = SWEEP_NAME.fullmatch(name.strip())
+    if found is None:
+        raise FormatError(f"'{name[:60]}' names no sweep: expected a name such as sub003_scan07")
+    return int(found[1]), int(found[2])
 
 
 def shrink_calibration(calibration: Calibration, factor: int) -> Calibration:
@@ -141,7 +158,8 @@ def _open_frames(file: h5py.File, prefix: str, count: int) -> NumberedFrames:
     return NumberedFrames(path.resolve(), prefix, (count, rows, columns), first.dtype)
 
 
-def _count_frames(file: h5py.File, subject: int, sweep: int) -> int:
+def _count_frames(file: h5py.File, subject: int, sweep: int) -> tuple[int, int]:
+    """Return how many frames a sweep has, and how many sweeps with frames the file has."""
     counts = read_array(file, "num_frames", (None, None))
     name = Path(file.filename).name
     if not (0 <= subject < counts.shape[0] and 0 <= sweep < counts.shape[1]):
@@ -152,4 +170,4 @@ def _count_frames(file: h5py.File, subject: int, sweep: int) -> int:
     count = float(counts[subject, sweep])
     if not (count.is_integer() and 0 < count <= LARGEST_COUNT):
         raise FormatError(f"sweep {sweep} of subject {subject} in '{name}' has {count:g} frames")
-    return int(count)
+    return int(count), int(np.count_nonzero(counts))
