@@ -80,6 +80,18 @@ def test_a_fast_tracker_is_interpolated_at_the_frames(tmp_path, frames):
     assert scan.tracked is None
 
 
+def test_a_known_latency_is_used_unless_another_is_given(tmp_path, frames):
+    """Frames of a calibrated system that are 12 ms late show the probe of 12 ms before."""
+    samples = torch.arange(-12, 60, dtype=torch.float64) / 60
+    write_tum(slide(samples), tmp_path / "tracker.txt")
+    late = replace(frames, calibration=Calibration((0.1, 0.1), latency_s=0.012))
+
+    for latency_s, expected_s in ((None, 0.012), (0.0, 0.0), (0.05, 0.05)):
+        scan = attach_poses(late, tmp_path / "tracker.txt", latency_s)
+        expected = 10 * (frames.timestamps_s - expected_s)
+        assert_close(scan.image_to_reference[:, 0, 3], expected, atol=1e-6, rtol=0)
+
+
 def test_frames_in_a_gap_have_no_pose(tmp_path, frames):
     """Where the tracker was silent for 200 ms, frames are not tracked, and the notes say so."""
     samples = torch.cat((torch.arange(0, 10), torch.arange(22, 40))).double() / 60

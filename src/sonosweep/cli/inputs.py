@@ -27,7 +27,8 @@ class InputOptions:
         pixel_spacing: Pixel size in mm, lateral then axial, instead of the file's.
         frame_rate_hz: Frames per second, instead of the file's times.
         image_orientation: PLUS's letters (MF, UF, ...), instead of what a sequence says.
-        latency_ms: How much later frame times are than pose times for the same moment.
+        latency_ms: How much later frame times are than pose times for the same moment;
+            what the scan's calibration says otherwise, usually 0.
         max_gap_ms: Longest time between two poses to interpolate over.
         pose_of: Whether the pose file's poses are of the image or of the probe, where the
             file does not say.
@@ -40,7 +41,7 @@ class InputOptions:
     pixel_spacing: tuple[float, float] | None = None
     frame_rate_hz: float | None = None
     image_orientation: str | None = None
-    latency_ms: float = 0.0
+    latency_ms: float | None = None
     max_gap_ms: float = 100.0
     pose_of: Literal["image", "probe"] | None = None
     variable: str | None = None
@@ -63,7 +64,7 @@ def read(path: Path, options: InputOptions | None) -> "Scan":
         spacing_mm=chosen.pixel_spacing,
         frame_rate_hz=chosen.frame_rate_hz,
         image_orientation=chosen.image_orientation,
-        latency_s=chosen.latency_ms / 1000,
+        latency_s=None if chosen.latency_ms is None else chosen.latency_ms / 1000,
         max_gap_s=chosen.max_gap_ms / 1000,
         pose_of=chosen.pose_of,
         variable=chosen.variable,

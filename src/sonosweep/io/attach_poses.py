@@ -20,7 +20,7 @@ PoseOf = Literal["image", "probe"]
 def attach_poses(
     scan: Scan,
     pose_file: Path,
-    latency_s: float = 0.0,
+    latency_s: float | None = None,
     max_gap_s: float = 0.1,
     pose_of: PoseOf | None = None,
 ) -> Scan:
@@ -33,7 +33,8 @@ def attach_poses(
     Args:
         scan: What was recorded.
         pose_file: csv, TUM, ``.igs.mha`` or ``.tfm``.
-        latency_s: How much later frame times are than pose times for the same moment.
+        latency_s: How much later frame times are than pose times for the same moment;
+            what the scan's calibration says when ``None``, or 0 without one.
         max_gap_s: Longest time between two samples to interpolate over.
         pose_of: What the poses are of; ``None`` takes the file's word, and the image where
             the scan does not say where the image is on the probe.
@@ -44,6 +45,8 @@ def attach_poses(
             are the image's or the probe's.
     """
     samples, indices = _read(pose_file)
+    if latency_s is None:
+        latency_s = 0.0 if scan.calibration is None else scan.calibration.latency_s
     poses, tracked, notes = _poses_of_frames(
         scan, samples, indices, pose_file.name, latency_s, max_gap_s
     )

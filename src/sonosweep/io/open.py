@@ -26,7 +26,7 @@ def open_scan(
     spacing_mm: tuple[float, float] | None = None,
     frame_rate_hz: float | None = None,
     image_orientation: str | None = None,
-    latency_s: float = 0.0,
+    latency_s: float | None = None,
     max_gap_s: float = 0.1,
     pose_of: Literal["image", "probe"] | None = None,
     variable: str | None = None,
@@ -45,7 +45,7 @@ def open_scan(
         image_orientation: PLUS's two letters (``"MF"``, ``"UF"``, ...), instead of what a
             sequence file says.
         latency_s: How much later the frame times are than the pose file's, for the same
-            moment.
+            moment; what the scan's calibration says when ``None``, or 0 without one.
         max_gap_s: Longest time between two poses to interpolate over.
         pose_of: Whether the pose file's poses are of the image or of the probe, where the
             file does not say.
