@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import sonosweep
-from sonosweep.cli.main import app
+from sonosweep.cli.app import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])

@@ -1,17 +1,15 @@
-"""The command line: names of the verbs, and how anything that goes wrong is said.
+"""The command line's way in, and what Ctrl-C does from the first moment on."""
 
-Nothing heavy is imported here: a verb's module is loaded when the verb is used.
-"""
-
+import _thread
+import signal
 import sys
+import threading
 from collections.abc import Sequence
-
-from cyclopts import App, CycloptsError
-
-from sonosweep import __version__
-from sonosweep.errors import SonosweepError
+from types import FrameType
 
 INTERRUPTED = 130  # 128 + SIGINT, what a shell expects after Ctrl-C
+RETRY_S = 0.02
+IMPORT_MACHINERY = "<frozen importlib"
 
 VERBS = {
     "demo": "Reconstruct the real sweep that comes with the package, and write a report.",
@@ -23,39 +21,37 @@ VERBS = {
     "convert": "Make a sequence from images, video, DICOM, .mat or HDF5 and poses, or back.",
 }
 
-app = App(
-    name="sonosweep",
-    help="3D ultrasound from a freehand sweep without a position sensor."
-    " Research software, not a medical device.",
-    version=__version__,
-    help_format="plaintext",
-    suppress_keyboard_interrupt=False,
-)
-for verb, summary in VERBS.items():
-    app.command(f"sonosweep.cli.{verb}:{verb}", name=verb, help=summary)
-
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code: 0, 1, or 130 after Ctrl-C."""
     try:
-        app(
-            list(sys.argv[1:] if arguments is None else arguments),
-            exit_on_error=False,
-            print_error=False,
-            result_action="return_value",
-        )
-    except (SonosweepError, CycloptsError) as error:
-        _leave(str(error))
-    except MemoryError:
-        _leave("out of memory: use larger voxels (--voxel-mm) or fewer frames")
-    except OSError as error:
-        where = f" '{error.filename}'" if error.filename else ""
-        _leave(f"{error.strerror or error}{where}")
+        if arguments is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, _interrupt)
+        from sonosweep.cli.app import run
+
+        run(sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:
-        _leave("interrupted; no output was left half-written", INTERRUPTED)
+        leave("interrupted; no output was left half-written", INTERRUPTED)
 
 
-def _leave(message: str, code: int = 1) -> None:
+def leave(message: str, code: int = 1) -> None:
+    """Say one sentence on standard error and end the program."""
     one_line = " ".join(message.split())
     print(f"sonosweep: {one_line}", file=sys.stderr)
     sys.exit(code)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, but not while a module is being imported.
+
+    NumPy turns an interrupted import into endless recursion and PyTorch aborts, so what
+    comes in the meantime is asked again a little later.
+    """
+    while frame is not None:
+        if frame.f_code.co_filename.startswith(IMPORT_MACHINERY):
+            retry = threading.Timer(RETRY_S, _thread.interrupt_main)
+            retry.daemon = True  # does not hold up an end that comes first
+            retry.start()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
