@@ -1,11 +1,16 @@
 """``convert``: what is written can be relied upon, and nobody's file is lost."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
 
 from sonosweep.io import open_scan, read_trajectory
 from sonosweep.io.hdf5 import write_scan
+from sonosweep.io.sequence_write import write_sequence
 from sonosweep.scan import Calibration, Scan
 
 
@@ -77,3 +82,69 @@ def test_a_folder_of_images_obeys_force(run, half_tracked, tmp_path):
         *(f"frame000{k}.png" for k in range(4)),
         "poses.csv",
     ]
+
+
+def test_companions_that_a_format_cannot_hold_are_named(run, sweep):
+    """Nobody shall believe that the photoacoustic frames went along."""
+    lost, kept = run("convert", sweep, "a.igs.mha"), run("convert", sweep, "b.h5")
+
+    assert "photoacoustic left out: only .h5 holds companions" in lost.out
+    assert "left out" not in kept.out
+
+
+def test_frames_that_the_tracker_missed_are_counted(run, half_tracked):
+    """Leaving frames out is said."""
+    ran = run("reconstruct", "half.h5", "--poses", "tracked", "-o", "out")
+
+    assert "3 of 8 frames have no pose and are left out" in ran.error
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names")
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_names_that_are_no_text(half_tracked, tmp_path, encoding):
+    """A file name of arbitrary bytes is read, shown and written about as well as can be."""
+    odd = os.fsdecode(b"r\xe9sum\xff.igs.mha")
+    write_sequence(half_tracked, tmp_path / odd)
+    words = ["reconstruct", odd, "--poses", "tracked", "-o", "out"]
+
+    ran = subprocess.run(
+        [sys.executable, "-m", "sonosweep", *words],
+        cwd=tmp_path,
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": f"{encoding}:strict"},
+    )
+
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.startswith(b"r?sum?: 5 frames, tracked")
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a limit on the size of files")
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("convert", "half.h5", "out"), "cannot write 'out/frame0000.png'"),
+        (("convert", "half.h5", "out.mp4"), "'out.mp4' cannot be written as a video"),
+        (("reconstruct", "half.h5", "--poses", "tracked", "-o", "out"), "cannot write to 'out'"),
+    ],
+)
+def test_a_full_disk_is_said_of_the_file_that_was_asked_for(
+    half_tracked, tmp_path, words, expected
+):
+    """No temporary name is shown, and nothing is left behind."""
+    import resource
+
+    limit = 300 if words[0] == "convert" else 20_000  # bytes: of a frame, of a report
+
+    ran = subprocess.run(
+        [sys.executable, "-m", "sonosweep", *words],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path.parent / "numba")},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+
+    assert ran.returncode == 1
+    assert expected in ran.stderr.splitlines()[-1]
+    assert {path.name for path in tmp_path.iterdir()} == {"half.h5"}

@@ -42,6 +42,7 @@ def convert(
     """
     from sonosweep.cli.output import check_free, say
     from sonosweep.io import write_scan_as
+    from sonosweep.io.open import HDF5
     from sonosweep.io.write_scan import poses_beside
 
     check_free(output, force)
@@ -52,9 +53,16 @@ def convert(
     files = write_scan_as(recorded, output, keep_subject=not anonymize)
     frames, rows, columns = recorded.frames.shape[:3]
     names = ", ".join(str(file) for file in files)
+    left_out = [] if output.suffix.lower() in HDF5 else sorted(recorded.companions)
+    lost = f"; {', '.join(left_out)} left out: only .h5 holds companions" if left_out else ""
     say(
-        f"{recorded.name}: {frames} frames of {columns} x {rows} pixels -> {names}",
-        {"scan": recorded.name, "frames": frames, "outputs": [str(file) for file in files]},
+        f"{recorded.name}: {frames} frames of {columns} x {rows} pixels -> {names}{lost}",
+        {
+            "scan": recorded.name,
+            "frames": frames,
+            "outputs": [str(file) for file in files],
+            "left_out": left_out,
+        },
         json,
     )
 

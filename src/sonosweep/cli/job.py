@@ -18,6 +18,7 @@ from sonosweep.cli.volume_options import VolumeOptions, describe_bytes, volume_s
 from sonosweep.evaluate import compare_trajectories
 from sonosweep.evaluate.verdict import verdict
 from sonosweep.io import write_slicer_script, write_trajectory, write_volume
+from sonosweep.io.open import printable
 from sonosweep.io.plus_config import read_plus_config
 from sonosweep.reconstruct import (
     B_MODE,
@@ -170,7 +171,7 @@ def make_report(
         verdict=words,
         assumptions=tuple(assumptions),
         outputs=files,
-        command=" ".join(["sonosweep", *sys.argv[1:]]),
+        command=printable(" ".join(["sonosweep", *sys.argv[1:]])),
         versions={
             "sonosweep": __version__,
             "Python": ".".join(str(part) for part in sys.version_info[:3]),

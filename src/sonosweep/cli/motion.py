@@ -1,5 +1,6 @@
 """Options that say where the motion comes from, and the step that finds it."""
 
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -48,6 +49,12 @@ def find_trajectory(scan: "Scan", options: MotionOptions) -> tuple["Scan", "Traj
         trajectory = tracked_trajectory(seen)
         if scan.tracked is not None:  # the numbers that these frames have in the file
             trajectory = replace(trajectory, frames=scan.tracked.nonzero()[:, 0])
+            missed = len(scan.frames) - len(seen.frames)
+            if missed:
+                print(
+                    f"{missed} of {len(scan.frames)} frames have no pose and are left out",
+                    file=sys.stderr,
+                )
         return seen, trajectory
     located = locate(scan, options.crop)
     with progress("estimating motion") as show:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sonosweep.errors import FormatError
-from sonosweep.io.atomic_folder import put_in_place, temporary_for
+from sonosweep.io.atomic_folder import named_after, put_in_place, temporary_for
 
 
 def say(line: str, facts: Mapping[str, Any], as_json: bool) -> None:
@@ -61,6 +61,8 @@ def whole_folder(folder: Path, force: bool) -> Iterator[Path]:
         temporary = temporary_for(folder)
         yield temporary
         put_in_place(temporary, folder)
+    except FormatError as error:
+        raise named_after(folder, temporary, error) from error
     except OSError as error:
         raise FormatError(f"cannot write to '{folder}': {error.strerror or error}") from error
     finally:

@@ -36,6 +36,8 @@ def write_folder_beside(path: str | os.PathLike, ours: tuple[str, ...]) -> Itera
         for item in target.iterdir():
             if item.name not in kept and _is_ours(item, ours):
                 item.unlink()
+    except FormatError as error:
+        raise named_after(target, temporary, error) from error
     except OSError as error:
         raise FormatError(f"cannot write '{target}': {error.strerror or error}") from error
     finally:
@@ -52,6 +54,11 @@ def temporary_for(folder: Path) -> Path:
         return Path(tempfile.mkdtemp(dir=folder, prefix=".writing-"))
     folder.parent.mkdir(parents=True, exist_ok=True)
     return Path(tempfile.mkdtemp(dir=folder.parent, prefix=".writing-"))
+
+
+def named_after(folder: Path, temporary: Path | None, error: FormatError) -> FormatError:
+    """Return an error that names the folder people know instead of the temporary one."""
+    return FormatError(str(error).replace(str(temporary), str(folder)))
 
 
 def put_in_place(temporary: Path, folder: Path) -> None:

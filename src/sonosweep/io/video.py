@@ -252,15 +252,15 @@ class VideoFrames(LazyFrames):
 
 
 @contextmanager
-def explaining(path: Path) -> Iterator[None]:
-    """Turn whatever FFmpeg raises into one sentence."""
+def explaining(path: Path, problem: str = "is not a readable video") -> Iterator[None]:
+    """Turn whatever FFmpeg raises into one sentence that says the problem."""
     try:
         yield
     except SonosweepError:
         raise
     except (OSError, ValueError, RuntimeError, MemoryError, av.FFmpegError) as error:
         reason = getattr(error, "strerror", None) or first_line(error)
-        raise FormatError(f"'{path.name}' is not a readable video ({reason})") from error
+        raise FormatError(f"'{path.name}' {problem} ({reason})") from error
 
 
 def _open(path: Path) -> av.container.InputContainer:

@@ -56,7 +56,7 @@ def write_video(
         raise FormatError(f"crf must be 0 (no loss) to 51, got {crf}")
     with (
         write_beside(target) as temporary,
-        explaining(target),
+        explaining(target, "cannot be written as a video"),
         av.open(str(temporary), "w", options={"fflags": "+bitexact"}) as container,
     ):
         stream = _add_stream(container, frames, crf, target)
