@@ -40,7 +40,7 @@ JOBS = {
 def main(recordings: Path) -> None:
     """Run PLUS's four jobs through the command line and print a row for each."""
     folder = recordings / "plus_spine_freehand"
-    rows = []
+    rows: list[dict[str, str | int | float | bool | None]] = []
     for mode, (config, reference) in JOBS.items():
         with tempfile.TemporaryDirectory() as out:
             words = ["reconstruct", folder / "SpinePhantomFreehand.igs.mha", "--poses", "tracked"]
