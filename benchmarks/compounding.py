@@ -13,6 +13,7 @@ stays in the first-level cache.
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import torch
@@ -68,7 +69,7 @@ def numpy_forward(frames: np.ndarray, transforms: np.ndarray, grid: VolumeGrid) 
     return (total / np.maximum(count, 1) + 0.5).astype(np.uint8)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def multiply_add(values, rounds):
     """Multiply and add over a small array; the compiler vectorizes it."""
     for _ in range(rounds):
@@ -84,6 +85,21 @@ def machine_limits() -> tuple[float, float]:
     rounds = 20_000
     fused = seconds(lambda: multiply_add(values, rounds), time.process_time)
     return source.nbytes / copy, values.size * rounds / fused
+
+
+def machine_scaling() -> float:
+    """Return how many times faster two threads are at multiply-adds that share nothing."""
+    arrays = [np.ones(4096, np.float32) for _ in range(2)]
+    with ThreadPoolExecutor(2) as workers:
+
+        def together() -> None:
+            list(workers.map(lambda values: multiply_add(values, 20_000), arrays))
+
+        def in_turn() -> None:
+            for values in arrays:
+                multiply_add(values, 20_000)
+
+        return seconds(in_turn, time.perf_counter, 5) / seconds(together, time.perf_counter, 5)
 
 
 def report(name: str, cpu_s: float, numpy_s: float, bytes_moved: float, copy_rate: float) -> None:
@@ -102,6 +118,7 @@ def main() -> None:
     frames = np.random.default_rng(0).integers(0, 256, (FRAMES, PIXELS, PIXELS), dtype=np.uint8)
     copy_rate, fused_rate = machine_limits()
     print(f"one core: copies {copy_rate / 1e9:.1f} GB/s, {fused_rate / 1e9:.1f} G multiply-adds/s")
+    print(f"two threads: {machine_scaling():.2f} times the multiply-adds of one")
     for voxel_mm in (0.3, PIXEL_MM):
         grid = grid_of_sweep(poses, pixel_to_image, PIXELS, PIXELS, voxel_mm)
         sweep = frames, poses, pixel_to_image, grid

@@ -161,3 +161,33 @@ def test_a_name_that_cannot_be_written_is_said_before_the_work(run, sweep, tmp_p
 
     one_sentence(ran, tmp_path, "cannot write a trajectory as 'path.json'")
     assert "estimating" not in ran.error
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--fan-radius-px", "0", "9"), "--fan-angles-deg"),
+        (("--reject-below", "1e9"), "--reject-below"),
+        (("--threads", "100000"), "1024 threads"),
+        (("--calibration", "x.toml"), "--poses tracked does not"),
+        (("--euler-order", "XYZ"), "--pose-file"),
+    ],
+)
+def test_options_that_would_do_nothing(run, sweep, tmp_path, words, expected):
+    """An option without effect, or with an empty or absurd one, is refused."""
+    ran = run("reconstruct", sweep, "--poses", "tracked", "-o", "out", *words)
+
+    one_sentence(ran, tmp_path, expected)
+
+
+def test_euler_angles_need_their_order(run, tmp_path):
+    """A table of Euler angles is read when the order of the turns is told, and only then."""
+    folder = frames(tmp_path / "frames", 2)
+    (tmp_path / "p.csv").write_text("tx,ty,tz,rx_deg,ry_deg,rz_deg\n0,0,0,1,2,3\n0,0,1,1,2,3\n")
+
+    told = run("info", folder, "--pose-file", "p.csv", "--euler-order", "ZYX")
+    untold = run("info", folder, "--pose-file", "p.csv")
+
+    assert told.code == 0, told.error
+    assert "2 of 2, path 1.0 mm" in told.out
+    one_sentence(untold, tmp_path, "order")

@@ -32,6 +32,7 @@ class InputOptions:
         max_gap_ms: Longest time between two poses to interpolate over.
         pose_of: Whether the pose file's poses are of the image or of the probe, where the
             file does not say.
+        euler_order: Order of the intrinsic turns, for a pose file with Euler angles.
         variable: Which frames of a file that holds several: the name of an array in a .mat
             file, or sub003_scan07 in a frames_res4.h5.
     """
@@ -44,6 +45,7 @@ class InputOptions:
     latency_ms: float | None = None
     max_gap_ms: float = 100.0
     pose_of: Literal["image", "probe"] | None = None
+    euler_order: Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"] | None = None
     variable: str | None = None
 
 
@@ -67,6 +69,7 @@ def read(path: Path, options: InputOptions | None) -> "Scan":
         latency_s=None if chosen.latency_ms is None else chosen.latency_ms / 1000,
         max_gap_s=chosen.max_gap_ms / 1000,
         pose_of=chosen.pose_of,
+        euler_order=chosen.euler_order,
         variable=chosen.variable,
     )
 
@@ -80,6 +83,7 @@ def _refuse_idle(path: Path, options: InputOptions) -> None:
         "--latency-ms": options.latency_ms != usual.latency_ms,
         "--max-gap-ms": options.max_gap_ms != usual.max_gap_ms,
         "--pose-of": options.pose_of is not None,
+        "--euler-order": options.euler_order is not None,
     }
     idle = next((name for name, given in needs_poses.items() if given), None)
     if idle is not None and options.pose_file is None:

@@ -207,7 +207,8 @@ def write_results(
     for name in ("trajectory.csv", "trajectory.mrk.json"):
         write_trajectory(trajectory, folder / name, world, image_center_mm(scan))
         names.append(name)
-    names.append(write_slicer_script(folder).name)
+    if volume_format != "dicom":  # 3D Slicer imports those through its DICOM module
+        names.append(write_slicer_script(folder).name)
     return tuple(names)
 
 

@@ -41,10 +41,13 @@ def find_trajectory(scan: "Scan", options: MotionOptions) -> tuple["Scan", "Traj
     The scan comes back because frames that the tracker missed are left out of it.
     """
     from sonosweep.cli.progress import progress
+    from sonosweep.errors import ScanError
     from sonosweep.reconstruct import estimate_trajectory, tracked_trajectory
     from sonosweep.scan import select_tracked
 
     if options.poses == "tracked":
+        if options.calibration is not None:
+            raise ScanError("--calibration is for estimating, and --poses tracked does not")
         seen = select_tracked(scan)
         trajectory = tracked_trajectory(seen)
         if scan.tracked is not None:  # the numbers that these frames have in the file

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sonosweep.reconstruct import VolumeSettings
     from sonosweep.scan import VolumeGrid
 
+DEFAULT_FAN_RADIUS_PX = (0.0, 500.0)  # PLUS's
 VOLUME = Group("Volume", sort_key=2)
 
 
@@ -44,7 +45,7 @@ class VolumeOptions:
     clip_rectangle: tuple[int, int, int, int] | None = None
     fan_angles_deg: tuple[float, float] | None = None
     fan_origin_px: tuple[float, float] | None = None
-    fan_radius_px: tuple[float, float] = (0.0, 500.0)
+    fan_radius_px: tuple[float, float] | None = None
     reject_below: float | None = None
     skip_interval: int | None = None
     oriented: bool = False
@@ -71,12 +72,18 @@ def volume_settings(options: VolumeOptions, plus_config: Path | None) -> "Volume
             _say_what_is_not_followed(config.reconstruction, config.ignored, plus_config)
     if (options.fan_angles_deg is None) != (options.fan_origin_px is None):
         raise ScanError("a fan needs both --fan-angles-deg and --fan-origin-px")
+    if options.fan_radius_px is not None and options.fan_angles_deg is None:
+        raise ScanError("--fan-radius-px needs --fan-angles-deg and --fan-origin-px too")
     if options.reject_below is not None and not math.isfinite(options.reject_below):
         raise ScanError(f"--reject-below must be a gray level, got {options.reject_below:g}")
     if options.fan_angles_deg is not None and options.fan_origin_px is not None:
         settings = replace(
             settings,
-            fan=Fan(options.fan_angles_deg, options.fan_origin_px, *options.fan_radius_px),
+            fan=Fan(
+                options.fan_angles_deg,
+                options.fan_origin_px,
+                *(options.fan_radius_px or DEFAULT_FAN_RADIUS_PX),
+            ),
         )
     if options.fill_holes is not None:
         settings = replace(settings, fill="stick" if options.fill_holes else None, fill_mm=None)
@@ -90,7 +97,7 @@ def volume_settings(options: VolumeOptions, plus_config: Path | None) -> "Volume
         "oriented": options.oriented or None,
         "threads": options.threads,
     }
-    if options.voxel_mm is not None:
+    if options.voxel_mm is not None or options.oriented:
         settings = replace(settings, grid=None)
     return replace(settings, **{name: value for name, value in given.items() if value is not None})
 

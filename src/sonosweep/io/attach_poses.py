@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sonosweep.errors import ScanError
+from sonosweep.geometry import EulerOrder
 from sonosweep.io.pose_table import FIRST_LINE, read_pose_table
 from sonosweep.io.trajectories import read_trajectory
 from sonosweep.scan import Scan, Trajectory, match_poses
@@ -23,6 +24,7 @@ def attach_poses(
     latency_s: float | None = None,
     max_gap_s: float = 0.1,
     pose_of: PoseOf | None = None,
+    euler_order: EulerOrder | None = None,
 ) -> Scan:
     """Return the scan with the poses of a file.
 
@@ -38,13 +40,14 @@ def attach_poses(
         max_gap_s: Longest time between two samples to interpolate over.
         pose_of: What the poses are of; ``None`` takes the file's word, and the image where
             the scan does not say where the image is on the probe.
+        euler_order: Order of the intrinsic turns of a table that holds Euler angles.
 
     Raises:
         FormatError: If the file is not a list of poses.
         ScanError: If poses and frames do not fit together, or it is open whether the poses
             are the image's or the probe's.
     """
-    samples, indices = _read(pose_file)
+    samples, indices = _read(pose_file, euler_order)
     if latency_s is None:
         latency_s = 0.0 if scan.calibration is None else scan.calibration.latency_s
     poses, tracked, notes = _poses_of_frames(
@@ -121,8 +124,8 @@ def _poses_of_frames(
     return poses, None, {}
 
 
-def _read(pose_file: Path) -> tuple[Trajectory, Tensor | None]:
+def _read(pose_file: Path, euler_order: EulerOrder | None) -> tuple[Trajectory, Tensor | None]:
     if pose_file.suffix.lower() in TABLES and pose_file.is_file():
-        table = read_pose_table(pose_file)
+        table = read_pose_table(pose_file, euler_order)
         return table.trajectory, table.frame_indices
     return read_trajectory(pose_file), None

@@ -9,6 +9,7 @@ from typing import Literal
 import torch
 
 from sonosweep.errors import FormatError, ScanError
+from sonosweep.geometry import EulerOrder
 from sonosweep.scan import Calibration, Scan, calibration_from_matrix
 
 SEQUENCES = (".mha", ".mhd", ".nrrd", ".nhdr")
@@ -29,6 +30,7 @@ def open_scan(
     latency_s: float | None = None,
     max_gap_s: float = 0.1,
     pose_of: Literal["image", "probe"] | None = None,
+    euler_order: EulerOrder | None = None,
     variable: str | None = None,
 ) -> Scan:
     """Return the scan in a file or folder of any format that we read.
@@ -49,6 +51,7 @@ def open_scan(
         max_gap_s: Longest time between two poses to interpolate over.
         pose_of: Whether the pose file's poses are of the image or of the probe, where the
             file does not say.
+        euler_order: Order of the intrinsic turns of a pose file that holds Euler angles.
         variable: Which frames of a file that holds several: the name of an array in a
             ``.mat`` file, or ``sub003_scan07`` in a ``frames_res4.h5``.
 
@@ -70,7 +73,7 @@ def open_scan(
     if pose_file is not None:
         from sonosweep.io.attach_poses import attach_poses
 
-        scan = attach_poses(scan, Path(pose_file), latency_s, max_gap_s, pose_of)
+        scan = attach_poses(scan, Path(pose_file), latency_s, max_gap_s, pose_of, euler_order)
     return scan
 
 

@@ -11,6 +11,7 @@ from sonosweep.errors import ScanError
 from sonosweep.scan import Frames
 
 SUPPORTED = ("uint8", "uint16", "int16", "float32", "float64")
+MOST_THREADS = 1024
 BLOCK_BYTES = 2**21
 """Pixels of a block: few enough to stay in a cache, enough to be worth a round of threads."""
 
@@ -52,7 +53,7 @@ def thread_count(threads: int | None) -> int:
     """Return how many threads to use: those asked for, or as many as this process may run.
 
     Raises:
-        ScanError: If fewer than one is asked for.
+        ScanError: If fewer than one or absurdly many are asked for.
     """
     if threads is None:
         if hasattr(os, "sched_getaffinity"):
@@ -60,6 +61,8 @@ def thread_count(threads: int | None) -> int:
         return os.cpu_count() or 1
     if threads < 1:
         raise ScanError(f"at least one thread is needed, got {threads}")
+    if threads > MOST_THREADS:
+        raise ScanError(f"{MOST_THREADS} threads at most, got {threads}")
     return threads
 
 

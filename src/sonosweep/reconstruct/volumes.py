@@ -113,6 +113,12 @@ def reconstruct_scan(
             reject_below=chosen.reject_below,
         )
     }
+    coverage = volumes[B_MODE].coverage
+    if coverage is not None and not coverage.any():
+        raise ScanError(
+            f"nothing of '{scan.name}' is left in the volume: are the clips or the darkest gray"
+            " level that counts (--reject-below) too narrow?"
+        )
     for name, companion in scan.companions.items():
         volumes[name] = into_grid(companion.frames, pixel_to_image=_companion_to_image(companion))
     return volumes
