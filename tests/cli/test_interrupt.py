@@ -43,3 +43,29 @@ def test_interrupted_while_modules_are_imported(sweep, tmp_path, moment_s):
     assert error.splitlines()[-1] == "sonosweep: interrupted; no output was left half-written"
     assert "Traceback" not in error
     assert {path.name for path in tmp_path.iterdir()} == {"speckle.h5"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends Ctrl-C to whole groups")
+def test_interrupted_in_a_destructor(tmp_path):
+    """Python drops what a destructor raises; the interrupt is asked for again."""
+    program = """
+import signal, sys, time
+import sonosweep.cli.app as app, sonosweep.cli.main as main
+
+class Dying:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def work(arguments):
+    Dying()
+    time.sleep(30)
+
+app.run = work
+main.main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=20
+    )
+
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "sonosweep: interrupted; no output was left half-written\n"

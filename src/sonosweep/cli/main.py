@@ -27,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         if arguments is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, _interrupt)
+            sys.unraisablehook = _not_raised
         from sonosweep.cli.app import run
 
         run(sys.argv[1:] if arguments is None else arguments)
@@ -49,9 +50,28 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     """
     while frame is not None:
         if frame.f_code.co_filename.startswith(IMPORT_MACHINERY):
-            retry = threading.Timer(RETRY_S, _thread.interrupt_main)
-            retry.daemon = True  # does not hold up an end that comes first
-            retry.start()
+            _ask_again()
             return
         frame = frame.f_back
     raise KeyboardInterrupt
+
+
+def _not_raised(lost: "sys.UnraisableHookArgs") -> None:
+    """Ask again if Ctrl-C came in a destructor or weak reference's callback, which drop it."""
+    if lost.exc_type is KeyboardInterrupt:
+        _ask_again()
+    else:
+        sys.__unraisablehook__(lost)
+
+
+def _ask_again() -> None:
+    retry = threading.Timer(RETRY_S, _interrupt_main_thread)
+    retry.daemon = True  # does not hold up an end that comes first
+    retry.start()
+
+
+def _interrupt_main_thread() -> None:
+    if hasattr(signal, "pthread_kill"):  # which also ends a wait, unlike the other
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+    else:
+        _thread.interrupt_main()

@@ -2,14 +2,13 @@
 
 import json
 import math
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from sonosweep.errors import FormatError
-from sonosweep.io.atomic_folder import named_after, put_in_place, temporary_for
+from sonosweep.io.atomic_folder import staged_folder
 
 
 def say(line: str, facts: Mapping[str, Any], as_json: bool) -> None:
@@ -56,15 +55,5 @@ def whole_folder(folder: Path, force: bool) -> Iterator[Path]:
     if folder.exists() and not folder.is_dir():
         raise FormatError(f"'{folder}' is a file, an output folder is needed")
     check_free(folder, force)
-    temporary = None
-    try:
-        temporary = temporary_for(folder)
+    with staged_folder(folder) as temporary:
         yield temporary
-        put_in_place(temporary, folder)
-    except FormatError as error:
-        raise named_after(folder, temporary, error) from error
-    except OSError as error:
-        raise FormatError(f"cannot write to '{folder}': {error.strerror or error}") from error
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)

@@ -1,7 +1,7 @@
 """Output files that are either whole or not there."""
 
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,22 +24,15 @@ def write_beside(path: str | os.PathLike) -> Iterator[Path]:
         FormatError: If the folder cannot be written to, or the disk is full.
     """
     target = Path(path)
-    temporary = None
+    # Named before it is made, so that an interruption at any moment finds it.
+    ending = "".join(target.suffixes[-2:])
+    temporary = target.parent / f".writing-{secrets.token_hex(6)}{ending}"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            dir=target.parent, prefix=".writing-", suffix="".join(target.suffixes[-2:])
-        )
-        os.close(handle)
-        temporary = Path(name)
+        temporary.touch(exist_ok=False)
         yield temporary
-        # mkstemp makes files that only their owner can read; give what umask would have.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
         temporary.replace(target)
     except OSError as error:
         raise FormatError(f"cannot write '{target}': {error.strerror or error}") from error
     finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)

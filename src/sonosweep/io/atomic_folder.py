@@ -1,8 +1,8 @@
 """Output folders that are either whole or not there."""
 
 import os
+import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,39 +26,46 @@ def write_folder_beside(path: str | os.PathLike, ours: tuple[str, ...]) -> Itera
             the disk is full.
     """
     target = Path(path)
-    temporary = None
-    try:
-        _refuse_foreign(target, ours)
-        temporary = temporary_for(target)
+    _refuse_foreign(target, ours)
+    with staged_folder(target) as temporary:
         yield temporary
         kept = {item.name for item in temporary.iterdir()}
-        put_in_place(temporary, target)
-        for item in target.iterdir():
-            if item.name not in kept and _is_ours(item, ours):
-                item.unlink()
-    except FormatError as error:
-        raise named_after(target, temporary, error) from error
-    except OSError as error:
-        raise FormatError(f"cannot write '{target}': {error.strerror or error}") from error
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
+    for item in target.iterdir():
+        if item.name not in kept and _is_ours(item, ours):
+            item.unlink()
 
 
-def temporary_for(folder: Path) -> Path:
-    """Return a new temporary folder from which files can be renamed into ``folder``.
+@contextmanager
+def staged_folder(folder: Path) -> Iterator[Path]:
+    """Give a temporary folder; its files arrive in ``folder`` if all goes well.
 
-    It lies in ``folder`` where that exists, which may be another disk than its parent.
+    Files of the same name are replaced and others stay. Whatever goes wrong inside the
+    block, interruption included, leaves ``folder`` as it was and nothing beside it.
+
+    Raises:
+        FormatError: If the place cannot be written to, or the disk is full.
     """
-    if folder.is_dir():
-        return Path(tempfile.mkdtemp(dir=folder, prefix=".writing-"))
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    return Path(tempfile.mkdtemp(dir=folder.parent, prefix=".writing-"))
+    # Named before it is made, so that an interruption at any moment finds it.
+    temporary = temporary_for(folder)
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        put_in_place(temporary, folder)
+    except FormatError as error:  # people know the folder, not the temporary one
+        raise FormatError(str(error).replace(str(temporary), str(folder))) from error
+    except OSError as error:
+        raise FormatError(f"cannot write to '{folder}': {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
-def named_after(folder: Path, temporary: Path | None, error: FormatError) -> FormatError:
-    """Return an error that names the folder people know instead of the temporary one."""
-    return FormatError(str(error).replace(str(temporary), str(folder)))
+def temporary_for(path: Path) -> Path:
+    """Return an unused name from which something can be renamed to ``path``.
+
+    For a folder that exists it lies inside, which may be another disk than its parent.
+    """
+    name = f".writing-{secrets.token_hex(6)}"
+    return path / name if path.is_dir() else path.parent / name
 
 
 def put_in_place(temporary: Path, folder: Path) -> None:
@@ -67,10 +74,6 @@ def put_in_place(temporary: Path, folder: Path) -> None:
     A new folder appears at once; of two programs that make it, only one succeeds.
     """
     if not (folder.exists() and folder.samefile(temporary.parent)):
-        # mkdtemp makes folders that only their owner can enter; give what umask would have.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o777 & ~umask)
         temporary.rename(folder)
         return
     for item in sorted(temporary.iterdir()):

@@ -8,8 +8,6 @@ reads as 0. The place of the volume is in the group's attributes, in mm.
 
 import json
 import os
-import shutil
-import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -21,6 +19,7 @@ from torch import Tensor
 
 from sonosweep.errors import FormatError, ScanError
 from sonosweep.estimators.estimator import Progress
+from sonosweep.io.atomic_folder import staged_folder
 from sonosweep.reconstruct.blocks import check_frames, in_turns, thread_count
 from sonosweep.reconstruct.pools import Pool
 from sonosweep.reconstruct.retire import gather_into, plan_sweep
@@ -63,21 +62,9 @@ def compound_to_chunks(
         grid, pixel_to_image, frames.shape[1], frames.shape[2], radius_mm, prefilter, mask
     )
     plan = plan_sweep(sampling, grid, image_to_reference, pixel_to_image, frames, confidence)
-    temporary = None
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=".writing-"))
+    with staged_folder(target) as temporary:
         output = ChunkOutput(temporary, grid, np.dtype(frames.dtype), frames.shape[3:], plan.bricks)
         gather_into(output, plan, frames, reject_below, thread_count(threads), progress)
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o777 & ~umask)
-        temporary.rename(target)
-    except OSError as error:
-        raise FormatError(f"cannot write '{target}': {error.strerror or error}") from error
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def read_chunks(
