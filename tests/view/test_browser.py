@@ -36,7 +36,10 @@ DRIVE = """<script>(async () => {
     set('slice-0', 13, 'input'); set('v-level', 60, 'input');
   }
   set('v-run', $('v-run').options.length - 1, 'change');
-  set('v-frame', 7, 'input'); $('v-show-outlines').click(); await wait(300);
+  set('v-frame', 7, 'input'); $('v-show-outlines').click();
+  // Drawing follows when the browser has time for it, which on a busy machine is later.
+  for (let k = 0; k < 100 && !/frame 7/.test($('v-frame-name').textContent); k++) await wait(50);
+  await wait(300);
   document.title = 'driven';
 })();</script></body>"""
 

@@ -195,12 +195,6 @@ def pool_for(
     return GeneralPool(sampling, darkest, order, slots, dtype, channels)
 
 
-def bytes_per_brick(dtype: np.dtype, channels: int) -> int:
-    """Return the memory of a brick in use."""
-    byte = dtype == np.uint8 and channels == 1
-    return kernels.VOXELS * (8 if byte else 8 + 8 * channels)
-
-
 def _longer(array: np.ndarray, length: int) -> np.ndarray:
     if length <= len(array):
         return array
