@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from sonosweep.errors import RecipeError
 from sonosweep.estimators.curve_file import read_curve, write_curve
 from sonosweep.estimators.decorrelation_curve import DecorrelationCurve
+from tests.io.damage import assert_reads_or_explains, damaged
 
 widths = st.floats(0.01, 100)
 
@@ -74,3 +75,13 @@ def test_a_missing_file_is_named(tmp_path):
     """A path with a typing error is shown back."""
     with pytest.raises(RecipeError, match=r"cannot read '.*none\.toml'"):
         read_curve(tmp_path / "none.toml")
+
+
+@given(data=st.data())
+def test_damaged_curves_are_read_or_explained(tmp_path_factory, data):
+    """Cut, flipped and random bytes give a curve or one sentence."""
+    path = tmp_path_factory.mktemp("curve") / "probe.toml"
+    write_curve(DecorrelationCurve(), path)
+    path.write_bytes(data.draw(damaged(path.read_bytes())))
+
+    assert_reads_or_explains(lambda: read_curve(path))
