@@ -19,34 +19,8 @@ SOURCE = Path(sonosweep.__file__).parent
 UNPICKLERS = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 LOADERS = {("np", "load"), ("numpy", "load"), ("torch", "load"), ("pandas", "read_pickle")}
 READERS = (open_scan, read_volume, read_trajectory, read_curve, read_plus_config)
-SUFFIXES = [
-    "npy",
-    "npz",
-    "pkl",
-    "pickle",
-    "pt",
-    "pth",
-    "mat",
-    "h5",
-    "hdf5",
-    "mha",
-    "igs.mha",
-    "nrrd",
-    "igs.nrrd",
-    "seq.nrrd",
-    "nii",
-    "nii.gz",
-    "dcm",
-    "mp4",
-    "png",
-    "csv",
-    "txt",
-    "tum",
-    "tfm",
-    "toml",
-    "xml",
-    "zarr",
-]
+SUFFIXES = """npy npz pkl pickle pt pth mat h5 hdf5 mha igs.mha nrrd igs.nrrd seq.nrrd nii
+nii.gz dcm mp4 png csv txt tum tfm toml xml zarr""".split()  # noqa: SIM905, readable so
 
 
 class Planted:

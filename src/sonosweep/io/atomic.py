@@ -3,7 +3,7 @@
 import os
 import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from sonosweep.errors import FormatError
@@ -35,4 +35,5 @@ def write_beside(path: str | os.PathLike) -> Iterator[Path]:
     except OSError as error:
         raise FormatError(f"cannot write '{target}': {error.strerror or error}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # there is none if its folder cannot be entered
+            temporary.unlink()
