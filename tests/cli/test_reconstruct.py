@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from sonosweep.cli.progress import progress
 from sonosweep.io import read_trajectory, read_volume
 from sonosweep.io.hdf5 import read_scan, write_scan
 
@@ -36,6 +37,36 @@ def test_tracked_sweep_to_volume(run, sweep, tmp_path):
     volume = read_volume(tmp_path / "out" / "volume.nrrd")
     assert volume.voxels.shape == (12, 96, 80)
     assert volume.voxels.mean() > 50
+
+
+def test_size_progress_and_compilation_are_said(run, sweep, monkeypatch):
+    """Before the work: how large it gets and, once, that it compiles; then how far it is."""
+    answers = iter([True, False])
+    monkeypatch.setattr("sonosweep.cli.job.must_compile", lambda method: next(answers))
+    words = "reconstruct", sweep, "--poses", "tracked", "--voxel-mm", "0.2", "-o"
+
+    first, second = run(*words, "first"), run(*words, "second")
+
+    size = "compounding into 2 volume(s) of 80 x 96 x 12 voxels, 369 kB"  # 2 bytes per voxel
+    compiling = "compiling the kernels, once on this machine"
+    said = first.error.splitlines()
+    assert said.index(size) < said.index(compiling) < said.index("compounding: 12 of 12")
+    assert compiling not in second.error
+
+
+def test_a_bar_moves_where_a_person_looks(monkeypatch, capsys):
+    """On a terminal progress is a bar, which is gone when the work is done."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+
+    with progress("compounding") as show:
+        show(6, 12)
+        show(12, 12)
+
+    error = capsys.readouterr().err
+    assert "compounding" in error
+    assert "\N{BOX DRAWINGS HEAVY HORIZONTAL}" in error
+    assert "12 of 12" not in error
 
 
 def test_the_curve_for_slicer_follows_the_middle_of_the_image(run, sweep, tmp_path):

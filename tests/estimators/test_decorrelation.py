@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from sonosweep.errors import ScanError
-from sonosweep.estimators.decorrelation import DecorrelationEstimator
+from sonosweep.estimators.decorrelation import TURN_STD_RAD, DecorrelationEstimator
 from sonosweep.estimators.decorrelation_curve import DecorrelationCurve, curve_from_speckle
 from sonosweep.geometry import step_from_motion, transform_points
 from sonosweep.scan import Calibration, Region, Scan
@@ -98,6 +98,20 @@ def test_the_standard_deviations_are_those_of_the_errors():
 
     spread = torch.cat(ratios).std(dim=0)
     assert bool(((spread > 0.5) & (spread < 2)).all()), spread
+
+
+def test_small_turns_are_expected_before_large_ones():
+    """Of a sweep without turns, noise makes fewer the less of them are expected."""
+    scan = sweep(straight(4))
+
+    def turns(std_rad):
+        found = DecorrelationEstimator(CALIBRATED, turn_std_rad=std_rad).estimate(scan).motion
+        return float(found[:, 3:5].square().mean().sqrt())
+
+    strict, default, free = turns(1e-5), turns(TURN_STD_RAD), turns(1.0)
+
+    assert strict < 1e-4
+    assert strict < default < 0.9 * free
 
 
 def test_a_sweep_backward_is_as_long_as_forward():
