@@ -38,7 +38,7 @@ DRIVE = """<script>(async () => {
   set('v-run', $('v-run').options.length - 1, 'change');
   set('v-frame', 7, 'input'); $('v-show-outlines').click();
   // Drawing follows when the browser has time for it, which on a busy machine is later.
-  for (let k = 0; k < 100 && !/frame 7/.test($('v-frame-name').textContent); k++) await wait(50);
+  for (let k = 0; k < 8000 && !/frame 7/.test($('v-frame-name').textContent); k++) await wait(50);
   await wait(300);
   document.title = 'driven';
 })();</script></body>"""
@@ -55,7 +55,7 @@ def visit(page: str, folder, *options: str) -> tuple[str, str]:
         BROWSER,
         *(f"--{flag}" for flag in flags.split()),
         f"--user-data-dir={folder / 'profile'}",
-        "--virtual-time-budget=20000",
+        "--virtual-time-budget=600000",
         "--window-size=1200,1600",
         *options,
         path.as_uri(),
