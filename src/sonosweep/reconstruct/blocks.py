@@ -14,6 +14,8 @@ SUPPORTED = ("uint8", "uint16", "int16", "float32", "float64")
 MOST_THREADS = 1024
 BLOCK_BYTES = 2**21
 """Pixels of a block: few enough to stay in a cache, enough to be worth a round of threads."""
+BLOCK_VOXELS = 2**21
+"""Voxels that a block sweeps over: the sums of so many take 17 MB."""
 
 
 def check_frames(frames: Frames) -> None:
@@ -66,16 +68,19 @@ def thread_count(threads: int | None) -> int:
     return threads
 
 
-def block_ranges(frames: Frames) -> list[slice]:
-    """Return the frames of each block, about 2 MB of pixels."""
+def block_ranges(frames: Frames, voxels_per_frame: float = 1.0) -> list[slice]:
+    """Return the frames of each block: about 2 MB of pixels, or fewer where voxels are fine."""
     frame_bytes = int(np.prod(frames.shape[1:])) * np.dtype(frames.dtype).itemsize
-    step = int(np.clip(BLOCK_BYTES // frame_bytes, 1, 64))
+    most = min(BLOCK_BYTES // frame_bytes, BLOCK_VOXELS / voxels_per_frame)
+    step = int(np.clip(most, 1, 64))
     return [slice(k, min(k + step, len(frames))) for k in range(0, len(frames), step)]
 
 
-def read_blocks(frames: Frames) -> Iterator[tuple[slice, np.ndarray]]:
+def read_blocks(
+    frames: Frames, ranges: list[slice] | None = None
+) -> Iterator[tuple[slice, np.ndarray]]:
     """Give (frames, pixels) block by block, reading one ahead."""
-    ranges = block_ranges(frames)
+    ranges = ranges or block_ranges(frames)
     with ThreadPoolExecutor(1) as reader:
         following = reader.submit(_read, frames, ranges[0])
         for k, block in enumerate(ranges):

@@ -141,6 +141,7 @@ class Plan:
     Attributes:
         sampling: How frames are sampled.
         order: Axes of the volume from the slowest in a brick to the fastest.
+        blocks: Frames that are gathered together.
         bricks: All bricks (x, y, z) that frames meet, in order of first touch.
         contributions: Of each block of frames.
         touched: How many bricks were touched after each block.
@@ -149,6 +150,7 @@ class Plan:
 
     sampling: Sampling
     order: Int[np.ndarray, "axes=3"]
+    blocks: list[slice]
     bricks: Int[np.ndarray, "bricks xyz=3"]
     contributions: list[Contribution]
     touched: list[int]
@@ -174,10 +176,12 @@ def plan_sweep(
     weight = check_confidence(confidence, len(frames))
     planes = planes_of_frames(image_to_reference, pixel_to_image)
     order = axes_by_normal(planes, grid)
-    radii = sampling.radii_mm(np.concatenate(([0.0], sampling.gaps_mm(planes))))
+    gaps = sampling.gaps_mm(planes)
+    radii = sampling.radii_mm(np.concatenate(([0.0], gaps)))
     table = BrickTable(grid)
+    blocks = block_ranges(frames, _voxels_per_frame(sampling, grid, pixel_to_image, gaps))
     contributions, touched = [], []
-    for k in block_ranges(frames):
+    for k in blocks:
         contributions.append(sampling.contribution(planes[k], radii[k], weight[k], order, table))
         touched.append(len(table))
     if len(table) == 0:
@@ -185,7 +189,20 @@ def plan_sweep(
     last_block = np.zeros(len(table), np.int64)
     for block, part in enumerate(contributions):
         last_block[part.numbers] = block
-    return Plan(sampling, order, table.bricks, contributions, touched, last_block)
+    return Plan(sampling, order, blocks, table.bricks, contributions, touched, last_block)
+
+
+def _voxels_per_frame(
+    sampling: Sampling,
+    grid: VolumeGrid,
+    pixel_to_image: Float[Tensor, "4 4"],
+    gaps_mm: Float[np.ndarray, " steps"],
+) -> float:
+    """Return about how many voxels lie between a frame and the next, one layer at least."""
+    across, down = pixel_to_image[:3, :2].norm(dim=0).tolist()
+    gap = max(float(np.median(gaps_mm)) if len(gaps_mm) else 0.0, min(grid.spacing_mm))
+    frame_mm3 = sampling.columns * across * sampling.rows * down * gap
+    return max(frame_mm3 / float(np.prod(grid.spacing_mm)), 1.0)
 
 
 def gather_into(
@@ -207,7 +224,7 @@ def gather_into(
     blocks = np.arange(len(plan.contributions) + 1)
     ends = np.searchsorted(plan.last_block[by_last_block], blocks)
     with ThreadPoolExecutor(threads) as workers:
-        for k, (block, pixels) in enumerate(read_blocks(frames)):
+        for k, (block, pixels) in enumerate(read_blocks(frames, plan.blocks)):
             slots.take(plan.touched[k])
 
             def add(turn: int, pixels: np.ndarray = pixels, k: int = k) -> int:
