@@ -58,7 +58,10 @@ grid = grid_of_sweep(poses, pixels, 85, 85, 0.1)
 held = np.ones((2, *grid.size), np.uint8)
 compound_gather(frames[:1], poses[:1], pixels, grid_of_sweep(poses[:1], pixels, 85, 85, 1.0))
 """
-    whole = "held = compound_gather(frames, poses, pixels, grid); assert (held.coverage > 0).mean() > 0.9"
+    whole = """
+held = compound_gather(frames, poses, pixels, grid)
+assert (held.coverage > 0).mean() > 0.9
+"""
 
     alone_mb = resident_mb_after(sweep + output, tmp_path)
     together_mb = resident_mb_after(sweep + whole, tmp_path)
