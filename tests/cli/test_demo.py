@@ -40,3 +40,16 @@ def test_the_demo_compares_both_ways(run, tmp_path):
         path.relative_to(folder).as_posix() for path in folder.rglob("*")
     }
     assert any("poor" in line or "usable" in line or "good" in line for line in summary["verdict"])
+    path_mm = found["path_length_mm"]
+    page = (folder / "report.html").read_text()
+    assert f"After {path_mm:.1f} mm of tracked path" in page
+    assert f"Tracked path</dt><dd>{path_mm:.1f} mm<" in page  # one length, not two
+    for words in (
+        "Difference between tracked and sensorless",
+        "Drift: distance from the tracked position",
+        "Maximum along the elevational axis",
+        "The elevational scale is a guess",
+        "The tracker told that the probe swept backward",
+        "ImFusion GmbH, CC BY 4.0",
+    ):
+        assert words in page, words

@@ -27,6 +27,8 @@ from sonosweep.scan import Trajectory, Volume
 from sonosweep.view import write_report
 from sonosweep.view.content import Metric
 
+RECORDING = "ImFusion GmbH, CC BY 4.0"  # which asks to be named wherever it is shown
+TOLD = "The tracker told that the probe swept backward, and where the first frame lies."
 VOXEL_MM = 0.8  # two and a half pixels: the report is quick to load
 
 
@@ -41,6 +43,7 @@ def run_demo(folder: Path) -> JobResult:
         image_to_reference=align_first_frame(
             estimated.image_to_reference, tracked.image_to_reference
         ),
+        assumptions=(*estimated.assumptions, TOLD),
     )
     both = Trajectory(torch.cat((tracked.image_to_reference, sensorless.image_to_reference)))
     settings = VolumeSettings(voxel_mm=VOXEL_MM)
@@ -62,6 +65,7 @@ def run_demo(folder: Path) -> JobResult:
         (*files, "report.html", "summary.json"),
         "A liver sweep, with and without its tracker",
     )
+    report = replace(report, facts=(*report.facts, ("Recording", RECORDING)))
     write_report(folder / "report.html", report)
     summary = summarize(scan, runs, volumes["tracked"][B_MODE], report)
     (folder / "summary.json").write_text(json.dumps(plain(summary), indent=2) + "\n")

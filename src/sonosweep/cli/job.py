@@ -166,7 +166,7 @@ def make_report(
     assumptions = dict.fromkeys(a for run in runs for a in run.trajectory.assumptions)
     return Report(
         title=title or f"Reconstruction of {scan.name}",
-        facts=_facts(scan),
+        facts=_facts(scan, runs),
         runs=runs,
         verdict=words,
         assumptions=tuple(assumptions),
@@ -243,7 +243,7 @@ def summarize(
     }
 
 
-def _facts(scan: Scan) -> tuple[tuple[str, str], ...]:
+def _facts(scan: Scan, runs: tuple[ReportRun, ...]) -> tuple[tuple[str, str], ...]:
     from sonosweep.cli.info import describe
 
     found = describe(scan)
@@ -264,7 +264,9 @@ def _facts(scan: Scan) -> tuple[tuple[str, str], ...]:
     if "poses" in found:
         facts.append(("Tracked frames", f"{found['poses']} of {found['frames']}"))
     if scan.image_to_reference is not None and found["poses"]:
-        length = found["path_length_mm"]
+        # That of the compared points where there are such, or the page would hold two lengths.
+        measured = [run.metrics["path_length_mm"][0] for run in runs if run.metrics]
+        length = (*measured, found["path_length_mm"])[0]
         facts.append(("Tracked path", f"{length:.1f} mm"))
         facts.append(("Tracked turn", f"{_turn_deg(select_tracked(scan)):.1f}°"))
     return tuple(facts)

@@ -13,7 +13,7 @@ MEANINGS: dict[str, tuple[str, str]] = {
     "relative_error_deg": ("rAE, rotation", "Mean error of one step's turn, per axis."),
     "relative_error_mixed": (
         "rAE, mixed",
-        "Mean of the two above, as the paper's tables print it.",
+        "Mean of the two above, as MoGLo-Net's tables print it.",
     ),
     "relative_angle_deg": ("Turn error of a step", "Mean angle between estimated and true turn."),
     "accumulated_error_mm": (
@@ -23,7 +23,7 @@ MEANINGS: dict[str, tuple[str, str]] = {
     "accumulated_error_deg": ("aAE, rotation", "Mean error of the turn since frame 0, per axis."),
     "accumulated_error_mixed": (
         "aAE, mixed",
-        "Mean of the two above, as the paper's tables print it.",
+        "Mean of the two above, as MoGLo-Net's tables print it.",
     ),
     "accumulated_angle_deg": ("Turn error since frame 0", "Mean angle between estimated and true."),
     "relative_frame_error_mm": ("rFE", "Mean distance of a frame's points after one step."),
@@ -33,17 +33,20 @@ MEANINGS: dict[str, tuple[str, str]] = {
     "final_drift_mm": ("Final drift (FD)", "How far the last frame ends from its true place."),
     "final_drift_rate_path_percent": (
         "FDR per path",
-        "Final drift per length of the true path: the paper's text.",
+        "Final drift per length of the true path: MoGLo-Net's text.",
     ),
     "final_drift_rate_chord_percent": (
         "FDR per chord",
-        "Final drift per straight line from first to last frame: the paper's code.",
+        "Final drift per straight line from first to last frame: MoGLo-Net's code.",
     ),
     "median_drift_mm": ("Median drift", "Half of the frames are closer to their true place."),
     "maximum_drift_mm": ("Largest drift", "The frame that is farthest from its true place."),
-    "path_length_mm": ("Length of the true path", "Of the centre of the frame."),
+    "path_length_mm": ("Length of the true path", "Of the middle of the compared points."),
     "chord_length_mm": ("First to last frame", "Straight line between the ends of the true path."),
-    "estimated_path_length_mm": ("Length of the estimated path", "Of the centre of the frame."),
+    "estimated_path_length_mm": (
+        "Length of the estimated path",
+        "Of the middle of the compared points.",
+    ),
     "global_pixel_error_mm": ("GPE", "TUS-REC: mean error of all pixels since frame 0."),
     "global_landmark_error_mm": ("GLE", "TUS-REC: mean error of landmarks since frame 0."),
     "local_pixel_error_mm": ("LPE", "TUS-REC: mean error of all pixels after one step."),
