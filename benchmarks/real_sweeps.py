@@ -2,7 +2,7 @@
 
     python benchmarks/real_sweeps.py FOLDER_OF_RECORDINGS
 
-Nothing is tuned on these sweeps. Two rows use what a user would not have: the mean motion is
+No number is fitted to these sweeps. Two rows use what a user would not have: the mean motion is
 the tracker's own, and the last row takes its curve from the tracked poses of the same sweep.
 """
 
