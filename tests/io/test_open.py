@@ -253,3 +253,14 @@ def test_the_folder_where_one_is_has_a_name(tmp_path, frames, monkeypatch):
     monkeypatch.chdir(tmp_path / "sweep7")
 
     assert open_scan(".").name == "sweep7"
+
+
+def test_a_plus_configuration_calibrates_a_folder_too(tmp_path, recordings):
+    """ImageToProbe gives images in a folder their pixel size, as it does files."""
+    config = recordings / "plus_bone_l14" / "BoneUltrasound_L14_config.xml"
+    write_scan_as(Scan("x", np.zeros((2, 8, 8), np.uint8)), tmp_path / "frames")
+
+    scan = open_scan(tmp_path / "frames", plus_config=config)
+
+    # The lengths of the matrix's first two columns, by hand.
+    assert_close(scan.calibration.spacing_mm, (0.08544, 0.08544), atol=1e-4, rtol=0)

@@ -105,12 +105,13 @@ def _read(
 ) -> Scan:
     suffix = file.suffix.lower()
     if file.is_dir():
-        return _read_folder(file)
-    if file.stat().st_size == 0:
+        scan = _read_folder(file)
+    elif file.stat().st_size == 0:
         raise FormatError(f"'{file.name}' is empty")
-    if suffix in SEQUENCES:
+    elif suffix in SEQUENCES:
         return _read_sequence(file, plus_config, orientation)
-    scan = _read_other(file, suffix, variable)
+    else:
+        scan = _read_other(file, suffix, variable)
     if plus_config is not None:
         from sonosweep.io.plus_config import read_plus_config
 
@@ -142,9 +143,10 @@ def _read_other(file: Path, suffix: str, variable: str | None) -> Scan:
         from sonosweep.io.matlab import read_mat
 
         return read_mat(file, variable=variable)
-    if suffix in (".dcm", ".dicom", ".ima") or _is_dicom(file):
-        from sonosweep.io.dicom_cine import read_dicom_cine
+    from sonosweep.io.dicom_cine import read_dicom_cine
+    from sonosweep.io.dicom_frames import is_dicom
 
+    if suffix in (".dcm", ".dicom", ".ima") or is_dicom(file):
         return read_dicom_cine(file)
     if suffix in IMAGES:
         raise FormatError(f"'{file.name}' is one image; give the folder that holds all of them")
@@ -182,17 +184,12 @@ def _read_hdf5(file: Path, variable: str | None) -> Scan:
 
 def _read_folder(folder: Path) -> Scan:
     from sonosweep.io.dicom_cine import read_dicom_cine
+    from sonosweep.io.dicom_frames import is_dicom
     from sonosweep.io.images import read_images
 
     files = sorted(child for child in folder.iterdir() if child.is_file())
     if any(child.suffix.lower() in IMAGES for child in files):
         return read_images(folder)
-    if any(child.suffix.lower() == ".dcm" or _is_dicom(child) for child in files):
+    if any(child.suffix.lower() == ".dcm" or is_dicom(child) for child in files):
         return read_dicom_cine(folder)
     raise FormatError(f"folder '{folder.name}' holds neither images nor DICOM files")
-
-
-def _is_dicom(file: Path) -> bool:
-    """Say whether a file has DICOM's magic word after its preamble."""
-    with file.open("rb") as stream:
-        return stream.read(132)[128:] == b"DICM"
