@@ -8,7 +8,6 @@ the tracker's own, and the last row takes its curve from the tracked poses of th
 
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -23,7 +22,7 @@ from sonosweep.geometry import (
     step_from_motion,
     steps_from_poses,
 )
-from sonosweep.scan import Scan, Trajectory, find_region
+from sonosweep.scan import Scan, Trajectory, locate_image
 
 # The way each probe swept, as its operator would say it.
 SWEEPS = {
@@ -38,7 +37,7 @@ def main(recordings: Path) -> None:
     for name, (path, config, direction) in SWEEPS.items():
         file = recordings / path
         scan = sonosweep.open_scan(file, plus_config=config and file.with_name(config))
-        scan = replace(scan, region=find_region(scan.frames))
+        scan = locate_image(scan)
         for method, trajectory in methods(scan, direction):
             found = compare_trajectories(trajectory, scan).metrics
             rows.append(

@@ -3,18 +3,17 @@
 python examples/reconstruct_sweep.py
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import sonosweep
 from sonosweep.io.demo_sweep import read_demo_sweep
-from sonosweep.scan import find_region, select_frames
+from sonosweep.scan import locate_image, select_frames
 
 
 def main(frames: int = 140, folder: Path = Path("sweep")) -> None:
     """Reconstruct the packaged sweep, or its first frames, without its tracker."""
     scan = select_frames(read_demo_sweep(), range(frames))  # or sonosweep.open_scan(path)
-    scan = replace(scan, region=find_region(scan.frames))
+    scan = locate_image(scan)
     trajectory = sonosweep.estimate_trajectory(
         scan, sonosweep.DecorrelationEstimator(), direction=-1
     )

@@ -1,7 +1,5 @@
 """The sensorless estimator on real recordings, beside their trackers."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -11,8 +9,7 @@ from sonosweep.estimators.decorrelation import DecorrelationEstimator
 from sonosweep.estimators.patches import patch_grid
 from sonosweep.geometry import motion_from_step, steps_from_poses
 from sonosweep.io.open import open_scan
-from sonosweep.scan import Scan
-from sonosweep.scan.find_region import find_region
+from sonosweep.scan import Scan, locate_image
 
 FOLLOWED = 0.7  # correlation of single steps; 0.81 when written, tracker jitter 0.1-0.25 mm
 OTHER_HALF = 0.25  # length of the half that was not calibrated on; 8 % when written
@@ -26,7 +23,7 @@ def bone(recordings) -> Scan:
         folder / "BoneUltrasound_L14.igs.mha",
         plus_config=folder / "BoneUltrasound_L14_config.xml",
     )
-    return replace(scan, region=find_region(scan.frames))
+    return locate_image(scan)
 
 
 def elevational(scan: Scan, motion: torch.Tensor) -> np.ndarray:

@@ -6,8 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sonosweep.errors import ScanError
 from sonosweep.io.sequence import read_sequence
-from sonosweep.scan.find_region import find_region
+from sonosweep.scan import Region, Scan
+from sonosweep.scan.find_region import find_region, locate_image
 
 # Edges of made-up sectors: speckle leaves dark pixels on them.
 EDGE_PX = 6
@@ -177,3 +179,27 @@ def test_linear_probes(recordings, name, rectangle):
 
     assert found.rectangle_px == rectangle
     assert found.mask is None
+
+
+def test_the_image_is_looked_for_within_a_rectangle():
+    """A rectangle with a border is narrowed to the image; its pixels are those of the frame."""
+    frames = np.zeros((6, 160, 200), np.uint8)
+    frames[:, 40:140, 60:160] = speckle(3, 6, 100, 100)
+    scan = Scan("x", frames, region=Region((20, 30, 160, 125)))
+
+    asked = locate_image(Scan("x", frames), (20, 30, 160, 125))
+    stated = locate_image(scan)
+
+    assert asked.region.rectangle_px == (60, 40, 100, 100)
+    assert stated.region.rectangle_px == (60, 40, 100, 100)
+    with pytest.raises(ScanError, match="does not fit"):
+        locate_image(scan, (100, 0, 160, 125))
+
+
+def test_a_mask_stays_as_it_is():
+    """Where a scan says pixel by pixel what is image, nobody looks again."""
+    region = Region((0, 0, 8, 8), np.eye(8, dtype=bool))
+
+    located = locate_image(Scan("x", np.zeros((2, 8, 8), np.uint8), region=region))
+
+    assert located.region is region

@@ -29,11 +29,11 @@ def calibrate(
         length_mm: How far the probe went, measured with a ruler.
     """
     from sonosweep import estimators
-    from sonosweep.cli.motion import locate
     from sonosweep.cli.output import check_free, say
+    from sonosweep.scan import locate_image
 
     check_free(output, force)
-    recorded = locate(read(scan, inputs))
+    recorded = locate_image(read(scan, inputs))
     curve = estimators.calibrate(recorded, length_mm=length_mm)
     estimators.write_curve(curve, output)
     source = "tracked poses" if length_mm is None else f"a length of {length_mm:g} mm"

@@ -1,6 +1,5 @@
 """One sweep, reconstructed with its tracker and without, side by side."""
 
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,15 +15,14 @@ from sonosweep.cli.job import (
     report_run,
     summarize,
     unit_of,
+    write_findings,
     write_results,
 )
-from sonosweep.cli.motion import MotionOptions, find_trajectory, locate
-from sonosweep.cli.output import plain
+from sonosweep.cli.motion import MotionOptions, find_trajectory
 from sonosweep.io.demo_sweep import read_demo_sweep
 from sonosweep.metrics import align_first_frame, compare_volumes
 from sonosweep.reconstruct import B_MODE, VolumeSettings, sweep_grid, tracked_trajectory
-from sonosweep.scan import Trajectory, Volume
-from sonosweep.view import write_report
+from sonosweep.scan import Trajectory, Volume, locate_image
 from sonosweep.view.content import Metric
 
 RECORDING = "ImFusion GmbH, CC BY 4.0"  # which asks to be named wherever it is shown
@@ -35,7 +33,7 @@ VOXEL_MM = 0.8  # two and a half pixels: the report is quick to load
 def run_demo(folder: Path) -> JobResult:
     """Reconstruct the packaged sweep twice and write everything into a folder."""
     print("reading the packaged sweep (liver, curved probe, 140 frames)", file=sys.stderr)
-    scan = locate(gray(read_demo_sweep()))
+    scan = locate_image(gray(read_demo_sweep()))
     tracked = tracked_trajectory(scan)
     _, estimated = find_trajectory(scan, MotionOptions(direction="backward"))
     sensorless = replace(
@@ -66,9 +64,8 @@ def run_demo(folder: Path) -> JobResult:
         "A liver sweep, with and without its tracker",
     )
     report = replace(report, facts=(*report.facts, ("Recording", RECORDING)))
-    write_report(folder / "report.html", report)
     summary = summarize(scan, runs, volumes["tracked"][B_MODE], report)
-    (folder / "summary.json").write_text(json.dumps(plain(summary), indent=2) + "\n")
+    write_findings(folder, report, summary)
     return JobResult("\n".join([f"{scan.name}: {len(scan.frames)} frames.", *words]), summary)
 
 

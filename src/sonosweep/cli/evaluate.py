@@ -33,7 +33,6 @@ def evaluate(
         tracked: The tracked scan.
         output: Where to write the numbers: .json or .csv; both with no suffix.
     """
-    from sonosweep.cli.motion import locate
     from sonosweep.cli.output import check_free, say
     from sonosweep.evaluate import (
         compare_trajectories,
@@ -42,11 +41,12 @@ def evaluate(
         write_csv,
         write_json,
     )
+    from sonosweep.scan import locate_image
 
     paths = _outputs(output)
     for path in paths:
         check_free(path, force)
-    scan = locate(read(tracked, inputs))
+    scan = locate_image(read(tracked, inputs))
     result = compare_trajectories(_trajectory(estimated), scan, landmarks=_landmarks(tracked))
     row = comparison_row(result)
     for path in paths:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from sonosweep import __version__
 from sonosweep.cli.info import image_center_mm
 from sonosweep.cli.inputs import InputOptions, read
-from sonosweep.cli.motion import MotionOptions, find_trajectory, locate
+from sonosweep.cli.motion import MotionOptions, find_trajectory
 from sonosweep.cli.output import plain
 from sonosweep.cli.progress import progress
 from sonosweep.cli.volume_options import VolumeOptions, describe_bytes, volume_settings
@@ -23,13 +23,13 @@ from sonosweep.io.plus_config import read_plus_config
 from sonosweep.reconstruct import (
     B_MODE,
     VolumeSettings,
+    engine,
     estimate_bytes,
-    gathers,
     must_compile,
     reconstruct_scan,
     sweep_grid,
 )
-from sonosweep.scan import FrameView, Scan, Trajectory, Volume, select_tracked
+from sonosweep.scan import FrameView, Scan, Trajectory, Volume, locate_image, select_tracked
 from sonosweep.view import Report, ReportRun, write_report
 
 UNITS = {"_mm": "mm", "_deg": "°", "_percent": "%", "_db": "dB"}
@@ -71,22 +71,24 @@ class JobResult:
 def run_job(path: Path, folder: Path, job: Job) -> JobResult:
     """Reconstruct one scan and write everything about it into a folder."""
     recorded = gray(read(path, job.inputs))
-    settings = volume_settings(job.volume, job.inputs.plus_config)
+    file = job.inputs.plus_config
+    config = None if file is None else read_plus_config(file)
+    settings = volume_settings(job.volume, config)
     scan, trajectory = find_trajectory(recorded, job.motion)
-    if gathers(settings):
-        scan = locate(scan, job.motion.crop)
+    if trajectory.method == "tracked" and engine(settings) == "gather":
+        scan = locate_image(scan, job.motion.crop)  # to estimate, it was located already
     volumes = make_volumes(scan, trajectory, settings)
     words: tuple[str, ...] = ()
     if trajectory.method == "tracked":
         run = report_run("tracked", trajectory, volumes)
     else:
         run, words = compare_run("sensorless", scan, trajectory, volumes)
-    world = job.world or ("lps" if _is_plus_job(job) else "ras")
+    plus_volume = config is not None and config.reconstruction is not None
+    world = job.world or ("lps" if plus_volume and job.volume_format == "mha" else "ras")
     files = write_results(folder, scan, trajectory, volumes, world, job.volume_format)
     report = make_report(scan, (run,), words, (*files, "report.html", "summary.json"))
-    write_report(folder / "report.html", report)
     summary = {**summarize(scan, (run,), volumes[B_MODE], report), "world": world}
-    (folder / "summary.json").write_text(json.dumps(plain(summary), indent=2) + "\n")
+    write_findings(folder, report, summary)
     size = " x ".join(str(n) for n in volumes[B_MODE].grid.size)
     voxel = " x ".join(
         f"{s:g}" for s in dict.fromkeys(round(s, 6) for s in volumes[B_MODE].grid.spacing_mm)
@@ -96,13 +98,6 @@ def run_job(path: Path, folder: Path, job: Job) -> JobResult:
     if drift is not None:
         line += f", final drift {drift:.1f} % of the tracked path"
     return JobResult(line, summary)
-
-
-def _is_plus_job(job: Job) -> bool:
-    """Say whether a PLUS configuration says how the MetaImage asked for is to be made."""
-    if job.inputs.plus_config is None or job.volume_format != "mha":
-        return False
-    return read_plus_config(job.inputs.plus_config).reconstruction is not None
 
 
 def gray(scan: Scan) -> Scan:
@@ -120,7 +115,7 @@ def make_volumes(scan: Scan, trajectory: Trajectory, settings: VolumeSettings) -
     size = " x ".join(str(n) for n in settings.grid.size)
     needed = describe_bytes(count * estimate_bytes(settings.grid, scan.frames.dtype.itemsize))
     print(f"compounding into {count} volume(s) of {size} voxels, {needed}", file=sys.stderr)
-    if must_compile("gather" if gathers(settings) else "forward"):
+    if must_compile(engine(settings)):
         print("compiling the kernels, once on this machine", file=sys.stderr)
     with progress("compounding") as show:
         return reconstruct_scan(scan, trajectory, settings, show)
@@ -210,6 +205,12 @@ def write_results(
     if volume_format != "dicom":  # 3D Slicer imports those through its DICOM module
         names.append(write_slicer_script(folder).name)
     return tuple(names)
+
+
+def write_findings(folder: Path, report: Report, summary: Mapping[str, Any]) -> None:
+    """Write the report and the same for machines."""
+    write_report(folder / "report.html", report)
+    (folder / "summary.json").write_text(json.dumps(plain(summary), indent=2) + "\n")
 
 
 def summarize(

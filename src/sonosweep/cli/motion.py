@@ -43,7 +43,7 @@ def find_trajectory(scan: "Scan", options: MotionOptions) -> tuple["Scan", "Traj
     from sonosweep.cli.progress import progress
     from sonosweep.errors import ScanError
     from sonosweep.reconstruct import estimate_trajectory, tracked_trajectory
-    from sonosweep.scan import select_tracked
+    from sonosweep.scan import locate_image, select_tracked
 
     if options.poses == "tracked":
         if options.calibration is not None:
@@ -59,7 +59,7 @@ def find_trajectory(scan: "Scan", options: MotionOptions) -> tuple["Scan", "Traj
                     file=sys.stderr,
                 )
         return seen, trajectory
-    located = locate(scan, options.crop)
+    located = locate_image(scan, options.crop)
     with progress("estimating motion") as show:
         trajectory = estimate_trajectory(
             located,
@@ -68,33 +68,6 @@ def find_trajectory(scan: "Scan", options: MotionOptions) -> tuple["Scan", "Traj
             progress=show,
         )
     return located, trajectory
-
-
-def locate(scan: "Scan", crop: tuple[int, int, int, int] | None = None) -> "Scan":
-    """Return the scan with its region: the file's own, or the one found.
-
-    A rectangle, given or from the file, may hold a sector or still have a border: the image
-    is looked for within it.
-    """
-    import numpy as np
-
-    from sonosweep.scan import FrameView, Region, crop_scan, find_region
-
-    if crop is None and scan.region is not None:
-        if scan.region.mask is not None:
-            return scan
-        crop = scan.region.rectangle_px
-    if crop is None:
-        return replace(scan, region=find_region(scan.frames))
-    crop_scan(scan, crop)  # refuses a rectangle that does not fit
-    found = find_region(FrameView(scan.frames, rectangle_px=crop))
-    column, row, width, height = found.rectangle_px
-    mask = None
-    if found.mask is not None:
-        rows, columns = scan.frames.shape[1:3]
-        below, right = rows - crop[1] - crop[3], columns - crop[0] - crop[2]
-        mask = np.pad(found.mask, ((crop[1], below), (crop[0], right)))
-    return replace(scan, region=Region((crop[0] + column, crop[1] + row, width, height), mask))
 
 
 def make_estimator(options: MotionOptions) -> "MotionEstimator":

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cyclopts import Group, Parameter
 
 if TYPE_CHECKING:
-    from sonosweep.io.plus_config import VolumeReconstructionSettings
+    from sonosweep.io.plus_config import PlusConfig, VolumeReconstructionSettings
     from sonosweep.reconstruct import VolumeSettings
     from sonosweep.scan import VolumeGrid
 
@@ -52,24 +52,19 @@ class VolumeOptions:
     threads: int | None = None
 
 
-def volume_settings(options: VolumeOptions, plus_config: Path | None) -> "VolumeSettings":
+def volume_settings(options: VolumeOptions, config: "PlusConfig | None") -> "VolumeSettings":
     """Return the settings of a PLUS configuration, if any, with the options on top.
 
     Raises:
         ScanError: If options contradict each other.
-        FormatError: If the configuration cannot be read.
     """
     from sonosweep.errors import ScanError
     from sonosweep.reconstruct import Fan, VolumeSettings
 
     settings = VolumeSettings()
-    if plus_config is not None:
-        from sonosweep.io.plus_config import read_plus_config
-
-        config = read_plus_config(plus_config)
-        if config.reconstruction is not None:
-            settings = _from_plus(config.reconstruction)
-            _say_what_is_not_followed(config.reconstruction, config.ignored, plus_config)
+    if config is not None and config.reconstruction is not None:
+        settings = _from_plus(config.reconstruction)
+        _say_what_is_not_followed(config.reconstruction, config.ignored, config.path)
     if (options.fan_angles_deg is None) != (options.fan_origin_px is None):
         raise ScanError("a fan needs both --fan-angles-deg and --fan-origin-px")
     if options.fan_radius_px is not None and options.fan_angles_deg is None:

@@ -18,6 +18,7 @@ from PIL import Image
 
 from sonosweep.errors import FormatError, SonosweepError
 from sonosweep.io.atomic import write_beside
+from sonosweep.io.attach_poses import spread_poses
 from sonosweep.io.hdf5_access import first_line
 from sonosweep.io.pose_table import read_pose_table
 from sonosweep.scan import Calibration, Frames, LazyFrames, Scan
@@ -242,7 +243,4 @@ def _poses_of_frames(
         raise FormatError(
             f"{count} images but a pose of frame {int(frames.max())} in '{table.name}'"
         )
-    all_poses = torch.full((count, 4, 4), torch.nan, dtype=torch.float64)
-    tracked = torch.zeros(count, dtype=torch.bool)
-    all_poses[frames], tracked[frames] = poses, True
-    return None, all_poses, tracked
+    return None, *spread_poses(poses, frames, count)

@@ -11,7 +11,7 @@ from sonosweep.reconstruct.grid import check_memory, estimate_bytes, grid_of_swe
 from sonosweep.reconstruct.volumes import (
     B_MODE,
     VolumeSettings,
-    gathers,
+    engine,
     reconstruct_scan,
     sweep_grid,
 )
@@ -24,10 +24,10 @@ __all__ = [
     "check_memory",
     "compound_frames",
     "compound_to_chunks",
+    "engine",
     "estimate_bytes",
     "estimate_trajectory",
     "fill_holes",
-    "gathers",
     "grid_of_sweep",
     "must_compile",
     "read_chunks",

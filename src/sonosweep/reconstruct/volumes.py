@@ -11,7 +11,7 @@ from torch import Tensor
 from sonosweep.errors import ScanError
 from sonosweep.estimators.estimator import Progress
 from sonosweep.reconstruct.clip import Fan
-from sonosweep.reconstruct.compound import compound_frames
+from sonosweep.reconstruct.compound import Method, compound_frames
 from sonosweep.reconstruct.fill import FillMethod
 from sonosweep.reconstruct.forward import Compounding, Interpolation
 from sonosweep.reconstruct.grid import grid_of_sweep
@@ -89,7 +89,7 @@ def reconstruct_scan(
         compound_frames,
         image_to_reference=poses,
         grid=grid,
-        method="gather" if gathers(chosen) else "forward",
+        method=engine(chosen),
         interpolation=chosen.interpolation or "nearest",
         compounding=chosen.compounding or "mean",
         skip=chosen.skip,
@@ -100,14 +100,11 @@ def reconstruct_scan(
         progress=progress,
     )
     mask = None if scan.region is None else scan.region.mask
-    rectangle = chosen.rectangle_px
-    if rectangle is None and scan.region is not None:
-        rectangle = scan.region.rectangle_px
     volumes = {
         B_MODE: into_grid(
             scan.frames,
             pixel_to_image=pixels,
-            rectangle_px=rectangle,
+            rectangle_px=_rectangle(scan, chosen),
             fan=chosen.fan,
             mask=mask,
             reject_below=chosen.reject_below,
@@ -124,17 +121,16 @@ def reconstruct_scan(
     return volumes
 
 
-def gathers(settings: VolumeSettings) -> bool:
-    """Say whether the gather engine is meant: no word of PLUS's forward way was given."""
-    return settings.interpolation is None and settings.compounding is None
+def engine(settings: VolumeSettings) -> Method:
+    """Return the engine that is meant: forward if a word of PLUS's forward way was given."""
+    gathers = settings.interpolation is None and settings.compounding is None
+    return "gather" if gathers else "forward"
 
 
 def sweep_grid(scan: Scan, trajectory: Trajectory, settings: VolumeSettings) -> VolumeGrid:
     """Return the grid that holds the sweep, with the voxel size chosen if none is given."""
     rows, columns = scan.frames.shape[1:3]
-    rectangle = settings.rectangle_px
-    if rectangle is None and scan.region is not None:
-        rectangle = scan.region.rectangle_px
+    rectangle = _rectangle(scan, settings)
     pixels = _pixel_to_image(scan)
 
     def box(voxel_mm: float | tuple[float, float, float]) -> VolumeGrid:
@@ -156,6 +152,13 @@ def sweep_grid(scan: Scan, trajectory: Trajectory, settings: VolumeSettings) -> 
     if voxels <= MOST_VOXELS_BY_DEFAULT:
         return box(twice_the_pixel)
     return box(_two_digits(twice_the_pixel * (voxels / MOST_VOXELS_BY_DEFAULT) ** (1 / 3)))
+
+
+def _rectangle(scan: Scan, settings: VolumeSettings) -> tuple[int, int, int, int] | None:
+    """Return the part of a frame to use: what was asked for, else where the image is."""
+    if settings.rectangle_px is not None or scan.region is None:
+        return settings.rectangle_px
+    return scan.region.rectangle_px
 
 
 def _two_digits(value: float) -> float:

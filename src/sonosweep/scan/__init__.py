@@ -4,7 +4,7 @@ from sonosweep.scan.calibration import Calibration, calibration_from_matrix, pix
 from sonosweep.scan.channel_data import ChannelData
 from sonosweep.scan.clock import MatchReport, match_poses
 from sonosweep.scan.crop import crop_scan, crop_scan_center, resample_scan
-from sonosweep.scan.find_region import find_region
+from sonosweep.scan.find_region import find_region, locate_image
 from sonosweep.scan.frames import Frames, FrameView, LazyFrames
 from sonosweep.scan.latency import LagEstimate, estimate_lag, estimate_latency
 from sonosweep.scan.probe import Probe
@@ -36,6 +36,7 @@ __all__ = [
     "estimate_lag",
     "estimate_latency",
     "find_region",
+    "locate_image",
     "match_poses",
     "pixel_to_image",
     "resample_scan",

@@ -1,12 +1,16 @@
 """Find the part of the frames that holds ultrasound, from what changes over time."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Num
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
+from sonosweep.scan.crop import crop_scan
 from sonosweep.scan.frames import Frames, FrameView
 from sonosweep.scan.region import Region
+from sonosweep.scan.scan import Scan
 
 # A pixel this far from the border's grey level, as a share of the range of grey levels, is
 # image; below lie the traces that lossy compression leaves.
@@ -51,6 +55,35 @@ def find_region(frames: Frames, samples: int = 24) -> Region:
         return Region(box)
     mask = outline & ~_notch_of_curved_probe(part, outline)
     return Region(_bounding_box(mask), mask)
+
+
+def locate_image(scan: Scan, rectangle_px: tuple[int, int, int, int] | None = None) -> Scan:
+    """Return the scan with its region: the file's own, or the one found.
+
+    A rectangle, given or from the file, may hold a sector or still have a border: the image
+    is looked for within it.
+
+    Args:
+        scan: What was recorded; a region with a mask stays as it is.
+        rectangle_px: Where to look: ``(column, row, width, height)``.
+
+    Raises:
+        ScanError: If the rectangle does not fit the frames.
+    """
+    if rectangle_px is None and scan.region is not None:
+        if scan.region.mask is not None:
+            return scan
+        rectangle_px = scan.region.rectangle_px
+    if rectangle_px is None:
+        return replace(scan, region=find_region(scan.frames))
+    found = find_region(crop_scan(scan, rectangle_px).frames)
+    column, row, width, height = found.rectangle_px
+    left, top = rectangle_px[:2]
+    mask = None
+    if found.mask is not None:
+        mask = np.zeros(scan.frames.shape[1:3], dtype=bool)
+        mask[top : top + rectangle_px[3], left : left + rectangle_px[2]] = found.mask
+    return replace(scan, region=Region((left + column, top + row, width, height), mask))
 
 
 def _extremes(frames: Frames, samples: int) -> tuple[np.ndarray, np.ndarray]:
