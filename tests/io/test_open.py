@@ -264,3 +264,13 @@ def test_a_plus_configuration_calibrates_a_folder_too(tmp_path, recordings):
 
     # The lengths of the matrix's first two columns, by hand.
     assert_close(scan.calibration.spacing_mm, (0.08544, 0.08544), atol=1e-4, rtol=0)
+
+
+def test_a_truncated_hdf5_file_is_called_damaged(tmp_path):
+    """Half a file is no question of layout, and the sentence says to copy it again."""
+    write_scan_as(Scan("x", np.zeros((4, 64, 64), np.uint8)), tmp_path / "whole.h5")
+    content = (tmp_path / "whole.h5").read_bytes()
+    (tmp_path / "half.h5").write_bytes(content[: len(content) // 2])
+
+    with pytest.raises(FormatError, match=r"'half\.h5' is not a readable HDF5 file.*copy"):
+        open_scan(tmp_path / "half.h5")

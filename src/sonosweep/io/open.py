@@ -156,6 +156,7 @@ def _read_other(file: Path, suffix: str, variable: str | None) -> Scan:
 def _read_hdf5(file: Path, variable: str | None) -> Scan:
     """Ask each layout whether the file is one of its own."""
     from sonosweep.io.hdf5 import is_scan_hdf5, read_scan
+    from sonosweep.io.hdf5_access import open_hdf5
     from sonosweep.io.imfusion_h5 import is_imfusion_h5, read_imfusion_h5
     from sonosweep.io.moglo import is_moglo, read_moglo
     from sonosweep.io.tusrec import is_tusrec, read_tusrec
@@ -165,6 +166,8 @@ def _read_hdf5(file: Path, variable: str | None) -> Scan:
         read_zenodo7740734_h5,
     )
 
+    with open_hdf5(file):  # says it if the file is damaged, which is no question of layout
+        pass
     if is_zenodo7740734_h5(file):
         subject, sweep = (0, 0) if variable is None else parse_sweep_name(variable)
         return read_zenodo7740734_h5(file, subject=subject, sweep=sweep)
