@@ -2,6 +2,7 @@
 
 from sonosweep.scan.calibration import Calibration, calibration_from_matrix, pixel_to_image
 from sonosweep.scan.channel_data import ChannelData
+from sonosweep.scan.channel_sweep import ChannelSweep, modalities
 from sonosweep.scan.clock import MatchReport, match_poses
 from sonosweep.scan.crop import crop_scan, crop_scan_center, resample_scan
 from sonosweep.scan.find_region import find_region, locate_image
@@ -18,6 +19,7 @@ from sonosweep.scan.volume import Volume, VolumeGrid, voxel_to_reference
 __all__ = [
     "Calibration",
     "ChannelData",
+    "ChannelSweep",
     "Companion",
     "FrameView",
     "Frames",
@@ -38,6 +40,7 @@ __all__ = [
     "find_region",
     "locate_image",
     "match_poses",
+    "modalities",
     "pixel_to_image",
     "resample_scan",
     "select_frames",

@@ -27,6 +27,7 @@ class ChannelData:
             one-way (photoacoustic) data, whose time zero is the laser pulse.
         sound_speed_m_per_s: Speed assumed by the machine.
         timestamps_s: Time of each frame; ``None`` if not known.
+        pulse_repetition_hz: Rate of the transmits within a frame; ``None`` if not known.
     """
 
     name: str
@@ -38,6 +39,7 @@ class ChannelData:
     transmit_delays_s: Float[Tensor, "transmits elements"] | None = None
     sound_speed_m_per_s: float = 1540.0
     timestamps_s: Float[Tensor, " frames"] | None = None
+    pulse_repetition_hz: float | None = None
 
     def __post_init__(self) -> None:
         """Check that the geometry fits the samples.
