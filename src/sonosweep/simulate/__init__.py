@@ -2,17 +2,32 @@
 
 from sonosweep.simulate.beam import Beam
 from sonosweep.simulate.body import Body, Tissue, Vessel
+from sonosweep.simulate.channels import (
+    Acquisition,
+    plane_wave_delays,
+    simulate_ensemble,
+    simulate_photoacoustic,
+    simulate_plane_waves,
+)
 from sonosweep.simulate.deformation import STILL, Deformation, PulsingArtery
+from sonosweep.simulate.probes import linear_probe, linear_probe_l11_5v
 from sonosweep.simulate.seeds import FIRST_TEST_SUBJECT, refuse_test_subjects
 
 __all__ = [
     "FIRST_TEST_SUBJECT",
     "STILL",
+    "Acquisition",
     "Beam",
     "Body",
     "Deformation",
     "PulsingArtery",
     "Tissue",
     "Vessel",
+    "linear_probe",
+    "linear_probe_l11_5v",
+    "plane_wave_delays",
     "refuse_test_subjects",
+    "simulate_ensemble",
+    "simulate_photoacoustic",
+    "simulate_plane_waves",
 ]
