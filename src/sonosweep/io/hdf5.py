@@ -109,7 +109,7 @@ def read_scan(path: str | os.PathLike) -> Scan:
             "calibration": _read_calibration(file),
             "region": _read_region(file, frames.shape),
             "companions": _read_companions(file),
-            "notes": _read_notes(file),
+            "notes": read_notes(file),
         }
     return Scan(
         frames=frames,
@@ -149,7 +149,7 @@ def _write_parts(
         group.attrs["origin_mm"] = companion.origin_mm
         _write_frames(group, companion.frames, compression, sink)
     if scan.notes:
-        file["notes"] = _fixed(json.dumps(dict(scan.notes)))
+        file["notes"] = fixed_text(json.dumps(dict(scan.notes)))
 
 
 def _write_frames(
@@ -236,7 +236,12 @@ def _read_companions(file: h5py.File) -> dict[str, Companion]:
     }
 
 
-def _read_notes(file: h5py.File) -> dict[str, str]:
+def read_notes(file: h5py.File) -> dict[str, str]:
+    """Return the notes of a file of ours, none if it has none.
+
+    Raises:
+        FormatError: If they are no text.
+    """
     if "notes" not in file:
         return {}
     dataset = file["notes"]
@@ -253,11 +258,15 @@ def _pair(group: h5py.Group, name: str) -> tuple[float, float]:
 
 
 def _set_text(group: h5py.Group, name: str, text: str) -> None:
-    group.attrs[name] = _fixed(text)
+    group.attrs[name] = fixed_text(text)
 
 
-def _fixed(text: str) -> np.ndarray:
-    """Return text of a fixed length, see :func:`read_text_attribute`."""
+def fixed_text(text: str) -> np.ndarray:
+    """Return text of a fixed length, see :func:`read_text_attribute`.
+
+    Raises:
+        FormatError: If it holds a zero byte.
+    """
     encoded = text.encode("utf-8")
     if b"\0" in encoded:
         raise FormatError(f"a text with a zero byte cannot be stored: {text[:40]!r}")

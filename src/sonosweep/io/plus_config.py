@@ -12,19 +12,18 @@ from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
-from xml.etree.ElementTree import Element, TreeBuilder
-from xml.parsers import expat
+from xml.etree.ElementTree import Element
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sonosweep.errors import FormatError
-from sonosweep.io.header_lines import open_binary
+from sonosweep.io.safe_xml import parse_xml
 from sonosweep.scan import Calibration, calibration_from_matrix
 
 # PLUS's own largest configuration is below 100 kB.
-LARGEST_FILE_BYTES = 16 << 20
+LARGEST_FILE_MB = 16
 HoleFillingType = Literal[
     "GAUSSIAN", "GAUSSIAN_ACCUMULATION", "NEAREST_NEIGHBOR", "DISTANCE_WEIGHT_INVERSE", "STICK"
 ]
@@ -135,7 +134,7 @@ def read_plus_config(path: str | os.PathLike) -> PlusConfig:
             be.
     """
     path = Path(path)
-    root = _parse_xml(path)
+    root = parse_xml(path, "PLUS configuration", LARGEST_FILE_MB)
     transforms = {}
     for element in root.iterfind(".//CoordinateDefinitions/Transform"):
         key, matrix = _read_transform(element, path)
@@ -152,32 +151,6 @@ def read_plus_config(path: str | os.PathLike) -> PlusConfig:
         return PlusConfig(path, transforms)
     settings, ignored = _read_reconstruction(found, path)
     return PlusConfig(path, transforms, settings, ignored)
-
-
-def _parse_xml(path: Path) -> Element:
-    with open_binary(path) as file:
-        text = file.read(LARGEST_FILE_BYTES + 1)
-    if len(text) > LARGEST_FILE_BYTES:
-        raise FormatError(
-            f"'{path}' is larger than any PLUS configuration: expected XML below 16 MB"
-        )
-
-    def refuse(*_: Any) -> None:  # expat passes the declaration's parts
-        raise FormatError(f"'{path}' declares a document type, which PLUS files do not: remove it")
-
-    builder = TreeBuilder()
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
-    parser.StartDoctypeDeclHandler = refuse
-    try:
-        parser.Parse(text, True)
-        return builder.close()
-    # expat raises ValueError for an encoding that Python does not know.
-    except (expat.ExpatError, ValueError, LookupError, AssertionError) as error:
-        if isinstance(error, FormatError):
-            raise
-        raise FormatError(f"'{path}' is no XML: {error}") from error
 
 
 def _read_transform(element: Element, path: Path) -> tuple[tuple[str, str], Tensor]:
