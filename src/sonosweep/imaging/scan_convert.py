@@ -55,7 +55,7 @@ class ScanConverter:
         check_source(self, frames.shape)
         source = np.ascontiguousarray(frames).reshape(-1, frames.shape[-2] * frames.shape[-1])
         converted = np.empty((len(source), len(self.cell)), frames.dtype)
-        rounding = np.float32(0.5 if np.issubdtype(frames.dtype, np.integer) else 0)
+        rounding = 0.5 if np.issubdtype(frames.dtype, np.integer) else 0.0
         width = self.source_shape[1]
         _convert(source, self.cell, self.down, self.across, width, rounding, converted)
         return converted.reshape(*frames.shape[:-2], *self.shape)
@@ -153,8 +153,9 @@ def _convert(source, cell, down, across, width, rounding, converted):
             if first == OUTSIDE:
                 pixels[pixel] = 0
                 continue
-            left = samples[first] + down[pixel] * (samples[first + width] - samples[first])
-            right = samples[first + 1] + down[pixel] * (
-                samples[first + width + 1] - samples[first + 1]
-            )
-            pixels[pixel] = left + across[pixel] * (right - left) + rounding
+            # In double precision: differences of unsigned bytes would wrap around.
+            below, right = np.float64(down[pixel]), np.float64(across[pixel])
+            upper = (1.0 - right) * samples[first] + right * samples[first + 1]
+            first += width
+            lower = (1.0 - right) * samples[first] + right * samples[first + 1]
+            pixels[pixel] = (1.0 - below) * upper + below * lower + rounding
