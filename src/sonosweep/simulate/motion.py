@@ -20,14 +20,16 @@ from sonosweep.simulate.wander import Wander, slow_wander, tremor
 
 Orientation = Literal["perpendicular", "parallel"]
 
+MOST_FRAMES = 100_000
+MOST_PAUSES = 1000
 TICKS_PER_FRAME = 12  # on which the speed is integrated
 SPEED_SCALE_S = 1.2  # over which speed changes
 WANDER_SCALE_S = 0.8  # over which the hand drifts
 # Standard deviations of the hand at hand_unsteadiness 1: with WANDER_SCALE_S and 20 frames/s
 # they give steps of .155, .16 and .12 degrees and, with tremor, of .10 mm laterally and
-# .05 mm axially.
-PITCH_DEG, YAW_DEG, ROLL_DEG = 2.5, 2.5, 1.9
-LATERAL_MM, AXIAL_MM = 1.2, 0.35
+# .05 mm axially, on a round arm.
+PITCH_DEG, YAW_DEG, ROLL_DEG = 2.5, 2.5, 1.6
+LATERAL_MM, AXIAL_MM = 1.4, 0.35
 SHARE_FOR_SPEED = 0.4  # least part of the largest step that must be left for the sweep
 
 
@@ -69,12 +71,12 @@ class MotionSettings:
     excursion_mm: float = 8.0
     turning: float = 0.3
     start_mm: tuple[float, float] | None = None
-    speed_variation: float = 0.7
+    speed_variation: float = 0.8
     pauses: int = 2
     pause_s: float = 0.8
     largest_step_mm: float = 1.0
     hand_unsteadiness: float = 1.0
-    tremor_mm: float = 0.03
+    tremor_mm: float = 0.02
     gel_mm: float = 0.5
     contact_width_mm: float = 38.0
 
@@ -84,15 +86,16 @@ class MotionSettings:
         Raises:
             ScanError: If one has no meaning, or the sweep is too long for its frames.
         """
-        if self.frames < 1:
-            raise ScanError(f"a sweep needs one frame or more, got {self.frames}")
+        if not 1 <= self.frames <= MOST_FRAMES:
+            raise ScanError(f"a sweep has from 1 to {MOST_FRAMES} frames, got {self.frames}")
+        if not 0 <= self.pauses <= MOST_PAUSES:
+            raise ScanError(f"a sweep has from 0 to {MOST_PAUSES} pauses, got {self.pauses}")
         for name in ("length_mm", "frame_rate_hz", "largest_step_mm", "contact_width_mm"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ScanError(f"{name} of a sweep must be above 0, got {value:g}")
         for name in (
             "speed_variation",
-            "pauses",
             "pause_s",
             "hand_unsteadiness",
             "tremor_mm",
@@ -145,9 +148,9 @@ class ProbeMotion:
         hand = {name: _sum(signals, times) for name, signals in self.hand.items()}
         across, along = self.path.at(length)
         across, along = across + self.start_mm[0], along + self.start_mm[1]
-        yaw = chosen.turning * self.path.heading_rad(length)
-        # Sideways drift leaves the line at a right angle to the way ahead.
         heading = self.path.heading_rad(length)
+        yaw = chosen.turning * heading
+        # Sideways drift leaves the line at a right angle to the way ahead.
         across = across + hand["lateral"] * np.cos(heading)
         along = along - hand["lateral"] * np.sin(heading)
         if chosen.orientation == "parallel":
@@ -268,9 +271,9 @@ def _fastest_step_mm(
     fastest = left / (1 + abs(settings.turning) * path.sharpest_rad_per_mm * lever)
     if fastest < SHARE_FOR_SPEED * settings.largest_step_mm:
         raise ScanError(
-            f"a hand_unsteadiness of {settings.hand_unsteadiness:g} turns the probe so fast that"
-            f" its edge moves by most of largest_step_mm = {settings.largest_step_mm:g}: make"
-            " one smaller or the other larger"
+            "the probe turns so fast that its edge moves by most of largest_step_mm ="
+            f" {settings.largest_step_mm:g}: choose a smaller excursion_mm, turning or"
+            " hand_unsteadiness, or a larger largest_step_mm"
         )
     return fastest
 

@@ -83,7 +83,8 @@ def lay_on_skin(
     offsets = np.linspace(-width_mm / 2, width_mm / 2, OFFSETS)
     # A turn about y takes x to (cos, 0, -sin) and z to (sin, 0, cos).
     felt = skin.at(across_mm[:, None] + cos * offsets, along_mm[:, None] - sin * offsets)
-    slope = _gentle(felt @ offsets / (offsets @ offsets))
+    lean = offsets * np.exp(-0.5 * (4 * offsets / width_mm) ** 2)  # mostly on its middle
+    slope = _gentle(felt @ lean / (offsets @ lean))
     arms = np.array([-PITCH_ARM_MM, PITCH_ARM_MM])
     ends = skin.at(across_mm[:, None] + sin * arms, along_mm[:, None] + cos * arms)
     rise = _gentle((ends[:, 1] - ends[:, 0]) / (2 * PITCH_ARM_MM))

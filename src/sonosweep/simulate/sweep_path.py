@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import brentq
 
 from sonosweep.errors import ScanError
@@ -13,6 +14,7 @@ SweepShape = Literal["straight", "C", "L", "S"]
 
 POINTS = 2001
 CORNER_MM = 10.0  # radius of the bend of an L
+SLOW_TURN_MM = 12.0  # a hand begins to turn before a bend and goes on after it
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +41,13 @@ class SweepPath:
         )
 
     def heading_rad(self, length_mm: Float[np.ndarray, " places"]) -> Float[np.ndarray, " places"]:
-        """Return by how much the line turns from along the arm toward across it."""
+        """Return how far a hand that follows the line turns from along the arm to across it."""
         heading = np.arctan2(
             np.gradient(self.across_mm, self.lengths_mm),
             np.gradient(self.along_mm, self.lengths_mm),
         )
+        spacing_mm = self.lengths_mm[-1] / (len(self.lengths_mm) - 1)
+        heading = gaussian_filter1d(heading, SLOW_TURN_MM / spacing_mm, mode="nearest")
         return np.interp(length_mm, self.lengths_mm, heading)
 
     @property
