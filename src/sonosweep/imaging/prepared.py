@@ -1,0 +1,282 @@
+"""Delay-and-sum for a fixed geometry, computed once and applied to many frames.
+
+A sparse matrix over all transmits repeats each element's delay for every transmit: 31 angles
+of the paper's grid take 1.8 GB. Kept apart, the receive delays and weights take 12 bytes for
+each pair of pixel and element, and the transmit delays 12 bytes for each pair of pixel and
+transmit: 50 MB, which the processor reads faster than such a matrix.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Int, Shaped
+
+from sonosweep.errors import ScanError
+from sonosweep.imaging import das_kernels as kernels
+from sonosweep.imaging.aperture import ArrayShape
+from sonosweep.imaging.transmit import Waves, arrival_times
+
+COLUMNS_AT_ONCE = 8
+"""Columns whose sums for 31 transmits stay in the processor's cache."""
+BYTES_PER_PAIR = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Where the pixels are and how sound gets there and back.
+
+    Attributes:
+        points_mm: Lateral and axial position of each pixel, ``(columns, rows)``.
+        array: Elements and where they look.
+        waves: What is transmitted; ``None`` for one-way data.
+        transmits: In each frame.
+        start_time_s: Time of the first sample of each transmit.
+        samples: In each recording.
+        rate_hz: Of the samples.
+        carrier_hz: Removed from them.
+        sound_speed_m_per_s: In the medium.
+        half_width: Half of the receive aperture per depth, ``1 / (2 f)``; -1 for all elements.
+        window: Its number in the kernels.
+        width_wavelengths: Width of an element, for its directivity; 0 for none.
+        is_cubic: Whether to interpolate between four samples instead of two.
+    """
+
+    points_mm: np.ndarray
+    array: ArrayShape
+    waves: Waves | None
+    transmits: int
+    start_time_s: np.ndarray
+    samples: int
+    rate_hz: float
+    carrier_hz: float
+    sound_speed_m_per_s: float
+    half_width: float
+    window: int
+    width_wavelengths: float
+    is_cubic: bool
+
+    @cached_property
+    def blocks(self) -> list[slice]:
+        """The columns, a few at a time."""
+        columns = len(self.points_mm)
+        return [
+            slice(first, min(first + COLUMNS_AT_ONCE, columns))
+            for first in range(0, columns, COLUMNS_AT_ONCE)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class DelayTable:
+    """Delays and weights of a block of columns, as the kernels take them.
+
+    Attributes:
+        transmit: Delay of each transmit in samples of the padded recording.
+        phases: Carrier at that delay.
+        first: First row that an element hears in a column.
+        last: One after the last such row.
+        offset: Where the run of an element and column begins in ``delays`` and ``weights``.
+        delays: Receive delays, in samples.
+        weights: Apodization times the carrier at the receive delay.
+    """
+
+    transmit: Float32[np.ndarray, "transmits columns rows"]
+    phases: Complex64[np.ndarray, "transmits columns rows"]
+    first: Int[np.ndarray, "elements columns"]
+    last: Int[np.ndarray, "elements columns"]
+    offset: Int[np.ndarray, "elements columns"]
+    delays: Float32[np.ndarray, " pairs"]
+    weights: Complex64[np.ndarray, " pairs"]
+
+
+def delay_table(geometry: Geometry, columns: slice) -> DelayTable:
+    """Return the delays and weights of a block of columns."""
+    points = np.ascontiguousarray(geometry.points_mm[columns])
+    first, last = _runs(geometry, points)
+    lengths = last - first
+    offset = np.cumsum(lengths).reshape(lengths.shape) - lengths
+    delays = np.empty(int(lengths.sum()), np.float32)
+    weights = np.empty(len(delays), np.complex64)
+    per_mm = 1e-3 / geometry.sound_speed_m_per_s
+    kernels.receive_table(
+        points,
+        geometry.array.elements_mm,
+        geometry.array.normals,
+        (geometry.half_width, geometry.window),
+        (
+            geometry.rate_hz * per_mm,
+            geometry.carrier_hz * per_mm,
+            geometry.width_wavelengths,
+        ),
+        first,
+        last,
+        offset,
+        delays,
+        weights,
+    )
+    transmit, phases = _transmit_table(geometry, points)
+    return DelayTable(transmit, phases, first, last, offset, delays, weights)
+
+
+def _runs(geometry: Geometry, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first row and one after the last that each element hears."""
+    shape = (len(geometry.array.elements_mm), len(points))
+    first, last = np.empty(shape, np.int64), np.empty(shape, np.int64)
+    kernels.aperture_rows(
+        points,
+        geometry.array.elements_mm,
+        geometry.array.normals,
+        geometry.half_width,
+        first,
+        last,
+    )
+    return first, last
+
+
+def _transmit_table(geometry: Geometry, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the delays of the transmits and the carrier at them."""
+    shape = (geometry.transmits, *points.shape[:2])
+    times = np.zeros(shape) if geometry.waves is None else arrival_times(geometry.waves, points)
+    delays, phases = np.empty(shape, np.float32), np.empty(shape, np.complex64)
+    kernels.transmit_table(
+        times, geometry.start_time_s, geometry.rate_hz, geometry.carrier_hz, delays, phases
+    )
+    return delays, phases
+
+
+class Beamformer:
+    """Delay-and-sum for one geometry; made by :func:`sonosweep.imaging.prepare_beamformer`.
+
+    Args:
+        geometry: Of pixels, elements and transmits.
+        to_baseband: Turns samples as recorded into baseband ones, and checks them.
+        compound: Whether to average the transmits.
+        tables: Delays of all blocks of columns; ``None`` computes them for each frame anew.
+        threads: How many blocks to work on at the same time.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry,
+        to_baseband: Callable[[np.ndarray], np.ndarray],
+        compound: bool = True,
+        tables: Sequence[DelayTable] | None = None,
+        threads: int = 1,
+    ) -> None:
+        self.geometry, self.compound, self.tables = geometry, compound, tables
+        self.to_baseband = to_baseband
+        self._threads = threads
+        self._checked = False
+
+    @property
+    def memory_bytes(self) -> int:
+        """What the prepared delays take."""
+        return 0 if self.tables is None else needed_bytes(self.geometry)
+
+    def apply(
+        self, samples: Shaped[np.ndarray, "*frames transmits elements samples"]
+    ) -> Complex64[np.ndarray, "..."]:
+        """Return the analytic signal at the pixels, one image for each frame.
+
+        Args:
+            samples: As the channel data hold them (RF or IQ), of one frame or of several.
+
+        Returns:
+            ``(*frames, rows, columns)``, or ``(*frames, transmits, rows, columns)`` without
+            compounding.
+
+        Raises:
+            ScanError: If the samples do not fit the geometry, are not all finite, or were
+                all recorded too early or too late for the image.
+        """
+        geometry = self.geometry
+        expected = (geometry.transmits, len(geometry.array.elements_mm), geometry.samples)
+        if samples.shape[-3:] != expected:
+            raise ScanError(
+                "the beamformer was made for {} transmits, {} elements and {} samples, got an"
+                " array of shape {}".format(*expected, samples.shape)
+            )
+        batch = samples.shape[:-3]
+        columns, rows = geometry.points_mm.shape[:2]
+        kept = (rows, columns) if self.compound else (geometry.transmits, rows, columns)
+        images = np.empty((*batch, *kept), np.complex64)
+        for frame in np.ndindex(batch):
+            self._fill(samples[frame], images[frame])
+        return images
+
+    def _fill(self, samples: np.ndarray, image: np.ndarray) -> None:
+        """Beamform one frame into ``image``."""
+        padded = _padded(self.to_baseband(samples))
+
+        def sum_block(number: int) -> bool:
+            table = self._table(number)
+            image[..., self.geometry.blocks[number]] = self._sum(padded, table)
+            return not self._checked and _is_covered(table, self.geometry.samples)
+
+        numbers = range(len(self.geometry.blocks))
+        if self._threads == 1:
+            covered = [sum_block(number) for number in numbers]
+        else:
+            with ThreadPoolExecutor(self._threads) as pool:
+                covered = list(pool.map(sum_block, numbers))
+        if not (self._checked or any(covered)):
+            raise ScanError(_not_covered(self.geometry))
+        self._checked = True
+
+    def _table(self, number: int) -> DelayTable:
+        if self.tables is None:
+            return delay_table(self.geometry, self.geometry.blocks[number])
+        return self.tables[number]
+
+    def _sum(self, padded: np.ndarray, table: DelayTable) -> np.ndarray:
+        images = np.empty(table.transmit.shape, np.complex64)
+        kernels.sum_block(
+            padded,
+            table.transmit,
+            table.phases,
+            table.first,
+            table.last,
+            table.offset,
+            table.delays,
+            table.weights,
+            self.geometry.is_cubic,
+            images,
+        )
+        return images.mean(0).T if self.compound else images.transpose(0, 2, 1)
+
+
+def needed_bytes(geometry: Geometry) -> int:
+    """Return the memory that the prepared delays of a geometry take."""
+    pairs = sum(
+        int(np.subtract(*reversed(_runs(geometry, geometry.points_mm[block]))).sum())
+        for block in geometry.blocks
+    )
+    columns, rows = geometry.points_mm.shape[:2]
+    return BYTES_PER_PAIR * (pairs + geometry.transmits * columns * rows)
+
+
+def _padded(iq: np.ndarray) -> Float32[np.ndarray, "transmits elements parts"]:
+    """Return samples with a rim of zeros, real and imaginary parts side by side."""
+    size = iq.shape[-1]
+    padded = np.zeros((*iq.shape[:-1], size + kernels.FRONT + kernels.BACK), np.complex64)
+    padded[..., kernels.FRONT : kernels.FRONT + size] = iq
+    return padded.view(np.float32)
+
+
+def _is_covered(table: DelayTable, samples: int) -> bool:
+    return kernels.is_covered(
+        table.transmit, table.first, table.last, table.offset, table.delays, samples
+    )
+
+
+def _not_covered(geometry: Geometry) -> str:
+    start, stop = geometry.start_time_s.min(), geometry.start_time_s.max()
+    stop += (geometry.samples - 1) / geometry.rate_hz
+    low, high = geometry.points_mm[..., 1].min(), geometry.points_mm[..., 1].max()
+    return (
+        f"no pixel of the image, {low:g} to {high:g} mm deep, has its echo in the recording from"
+        f" {start * 1e6:.4g} to {stop * 1e6:.4g} us: check the start time, the transmit delays"
+        " and the f-number"
+    )
