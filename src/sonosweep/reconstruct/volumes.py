@@ -11,6 +11,7 @@ from torch import Tensor
 from sonosweep.errors import ScanError
 from sonosweep.estimators.estimator import Progress
 from sonosweep.reconstruct.clip import Fan
+from sonosweep.reconstruct.companions import image_companions
 from sonosweep.reconstruct.compound import Method, compound_frames
 from sonosweep.reconstruct.fill import FillMethod
 from sonosweep.reconstruct.forward import Compounding, Interpolation
@@ -67,6 +68,9 @@ def reconstruct_scan(
 ) -> dict[str, Volume]:
     """Return the B-mode volume (``"b_mode"``) and one per companion, all on one grid.
 
+    Companions that are no images, such as IQ, are left out, see
+    :func:`sonosweep.reconstruct.companions.left_out`.
+
     Args:
         scan: What was recorded, with its pixel spacing.
         trajectory: One pose for each of its frames.
@@ -116,7 +120,7 @@ def reconstruct_scan(
             f"nothing of '{scan.name}' is left in the volume: are the clips or the darkest gray"
             " level that counts (--reject-below) too narrow?"
         )
-    for name, companion in scan.companions.items():
+    for name, companion in image_companions(scan).items():
         volumes[name] = into_grid(companion.frames, pixel_to_image=_companion_to_image(companion))
     return volumes
 
