@@ -133,8 +133,8 @@ def test_the_probe_lies_on_the_skin():
 def test_the_probe_tilts_with_the_skin():
     """Beside the crest the lateral axis goes down with the skin."""
     settings = MotionSettings(shape="straight", **STEADY, frames=50, length_mm=20.0)
-    right, _ = draw(replace(settings, start_mm=(15.0, 100.0)))
-    left, _ = draw(replace(settings, start_mm=(-15.0, 100.0)))
+    right, _ = draw(replace(settings, offset_mm=(15.0, 0.0)))
+    left, _ = draw(replace(settings, offset_mm=(-15.0, 0.0)))
 
     slope = 2 * 15 / 144  # of (x / 12)^2
     assert right[25, 1, 0] == pytest.approx(slope, abs=0.05)
@@ -182,7 +182,7 @@ def test_one_frame_is_a_sweep_too():
         ({"excursion_mm": float("inf")}, "must be finite"),
         ({"length_mm": 300.0, "frames": 2000}, "leaves phantom 'arm': the probe reaches z ="),
         ({"excursion_mm": 35.0}, "leaves phantom 'arm': the probe reaches x ="),
-        ({"start_mm": (0.0, 200.0)}, "another start_mm"),
+        ({"offset_mm": (0.0, 60.0)}, "another offset_mm"),
         ({"frames": 100}, "100 frames are too few for a sweep of 200 mm"),
         ({"excursion_mm": 300.0}, "too wide for a sweep of 200 mm in the shape of S"),
         ({"excursion_mm": 170.0, "shape": "L"}, "too wide for a sweep of 200 mm in the shape of L"),

@@ -49,8 +49,7 @@ class MotionSettings:
         excursion_mm: How far C, L and S leave the straight line; negative for mirrored.
         turning: How much the probe turns with the line: 0 keeps its direction, 1 stays
             upright to the line.
-        start_mm: Body x and z of the line's first point; ``None`` puts the line in the
-            middle of the body.
+        offset_mm: Body x and z of the line's middle, from the middle of the body.
         speed_variation: Standard deviation of the logarithm of the speed.
         pauses: How many times the hand stops.
         pause_s: For how long.
@@ -70,7 +69,7 @@ class MotionSettings:
     backward: bool = False
     excursion_mm: float = 8.0
     turning: float = 0.3
-    start_mm: tuple[float, float] | None = None
+    offset_mm: tuple[float, float] = (0.0, 0.0)
     speed_variation: float = 0.8
     pauses: int = 2
     pause_s: float = 0.8
@@ -104,8 +103,8 @@ class MotionSettings:
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise ScanError(f"{name} of a sweep must be 0 or more, got {value:g}")
-        if not np.isfinite([self.excursion_mm, self.turning, *(self.start_mm or ())]).all():
-            raise ScanError("excursion, turning and start of a sweep must be finite")
+        if not np.isfinite([self.excursion_mm, self.turning, *self.offset_mm]).all():
+            raise ScanError("excursion, turning and offset of a sweep must be finite")
 
     @property
     def duration_s(self) -> float:
@@ -191,7 +190,7 @@ def draw_motion(
     path = sweep_path(settings.shape, settings.length_mm, settings.excursion_mm)
     hand = _draw_hand(settings, generator)
     times, way = _draw_progress(settings, path, hand, generator)
-    start = settings.start_mm or _centered(path, body)
+    start = _start_mm(settings, path, body)
     motion = ProbeMotion(settings, path, start, times, way, hand, skin_of(body))
     _check_on_body(motion, body)
     return motion
@@ -288,13 +287,13 @@ def _extent_mm(body: Body) -> tuple[tuple[float, float], tuple[float, float]]:
     )
 
 
-def _centered(path: SweepPath, body: Body) -> tuple[float, float]:
-    """Return the start that puts the path in the middle of the body."""
+def _start_mm(settings: MotionSettings, path: SweepPath, body: Body) -> tuple[float, float]:
+    """Return where the path begins, so that its middle is where it should be."""
     middles = [(low + high) / 2 for low, high in _extent_mm(body)]
     ways = (path.across_mm, path.along_mm)
     across, along = (
-        float(middle - (way.min() + way.max()) / 2)
-        for middle, way in zip(middles, ways, strict=True)
+        float(middle + offset - (way.min() + way.max()) / 2)
+        for middle, offset, way in zip(middles, settings.offset_mm, ways, strict=True)
     )
     return across, along
 
@@ -313,5 +312,5 @@ def _check_on_body(motion: ProbeMotion, body: Body) -> None:
                 f"the sweep leaves phantom '{body.name}': the probe reaches {name} ="
                 f" {place:.1f} mm at frame {worst}, but the phantom lies between {low:.1f} and"
                 f" {high:.1f} mm: choose a shorter length_mm, a smaller excursion_mm or another"
-                " start_mm"
+                " offset_mm"
             )
