@@ -17,7 +17,6 @@ from sonosweep.view.projections import (
     MAX_PIXELS,
     Picture,
     best_covered,
-    depth_colored_projection,
     difference_cuts,
     display_window,
     encode_png,
@@ -25,6 +24,7 @@ from sonosweep.view.projections import (
     overlay,
     projections,
 )
+from sonosweep.view.vessels import depth_map
 
 from .conftest import GRID, ball
 
@@ -116,7 +116,7 @@ def test_depth_is_yellow_near_and_blue_far(axis):
     near[2 - axis], far[2 - axis] = 0, 8
     voxels[tuple(near)] = voxels[tuple(far)] = 200
 
-    picture = depth_colored_projection(Volume(voxels, VolumeGrid((9, 9, 9), (1.0, 1.0, 1.0))), axis)
+    picture = depth_map(Volume(voxels, VolumeGrid((9, 9, 9), (1.0, 1.0, 1.0))), axis).picture
 
     red, green, blue = (int(value) for value in picture.pixels[2, 2])
     assert red > 200 < green > blue
@@ -180,4 +180,4 @@ def test_any_values_can_be_shown(voxels):
     assert low < high
     for picture in (*orthogonal_cuts(volume), *projections(volume), *projections(volume, "mean")):
         assert picture.pixels.dtype == np.uint8
-    assert depth_colored_projection(volume).pixels.shape[2] == 3
+    assert depth_map(volume).picture.pixels.shape[2] == 3

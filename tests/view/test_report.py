@@ -151,7 +151,7 @@ def test_pictures_of_the_page_are_well_formed(report):
     """Every drawing is XML on its own."""
     drawings = re.findall(r"<svg.*?</svg>", report_page(report), re.DOTALL)
 
-    assert len(drawings) == 3 + 2 + 2 * 6 + 3 + 3
+    assert len(drawings) == 3 + 2 + 2 * 6 + 5 + 3
     for drawing in drawings:
         ElementTree.fromstring(drawing)
 

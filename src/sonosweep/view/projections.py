@@ -62,7 +62,7 @@ def display_window(volume: Volume) -> Window:
         return 0.0, 1.0
     low, high = (float(x) for x in np.percentile(values, [0.5, 99.7]))
     low = min(low, 0.0) if low <= 0 or np.issubdtype(volume.voxels.dtype, np.integer) else low
-    return _open_window(low, high)
+    return open_window(low, high)
 
 
 def best_covered(volume: Volume) -> tuple[int, int, int]:
@@ -99,8 +99,8 @@ def orthogonal_cuts(
         through = _third(right, down)
         values = scalar(_slice(volume.voxels, through, voxel[through]))
         title = f"{AXES[right]}{AXES[down]} cut at {AXES[through]} = {voxel[through]}"
-        gray = to_gray(_oriented(values, right, down), shown)
-        pictures.append(_picture(gray, volume.grid, right, down, title, max_pixels))
+        gray = to_gray(oriented(values, right, down), shown)
+        pictures.append(as_picture(gray, volume.grid, right, down, title, max_pixels))
     return pictures[0], pictures[1], pictures[2]
 
 
@@ -125,32 +125,9 @@ def projections(
     for (right, down), values in zip(PLANES, flat, strict=True):
         through = _third(right, down)
         title = f"{mode} along {AXES[through]}"
-        gray = to_gray(_oriented(values, right, down), shown)
-        pictures.append(_picture(gray, volume.grid, right, down, title, max_pixels))
+        gray = to_gray(oriented(values, right, down), shown)
+        pictures.append(as_picture(gray, volume.grid, right, down, title, max_pixels))
     return pictures[0], pictures[1], pictures[2]
-
-
-def depth_colored_projection(
-    volume: Volume, axis: int = 1, window: Window | None = None, max_pixels: int = MAX_PIXELS
-) -> Picture:
-    """Return the maximum along an axis, coloured by where along it the maximum lies.
-
-    Colours run from yellow (small index) over red and violet to blue (large index).
-
-    Args:
-        volume: What to project.
-        axis: 0, 1 or 2 for x, y or z; 1 is depth where the first frame is the reference.
-        window: Values shown black and fully bright.
-        max_pixels: Longest edge of the picture.
-    """
-    right, down = next(plane for plane in PLANES if axis not in plane)
-    values, where = _maximum_and_place(volume.voxels, axis)
-    shown = window or _projected_window([values], display_window(volume)[0])
-    gray = to_gray(_oriented(values, right, down), shown)
-    depth = _oriented(where, right, down) / max(volume.grid.size[axis] - 1, 1)
-    color = depth_color(depth) * (gray[..., None] / 255.0)
-    title = f"maximum along {AXES[axis]}, colour shows {AXES[axis]}"
-    return _picture(np.rint(color).astype(np.uint8), volume.grid, right, down, title, max_pixels)
 
 
 def difference_cuts(
@@ -176,9 +153,9 @@ def difference_cuts(
             scalar(_slice(one.voxels, through, voxel[through])).astype(np.float32)
             for one in (first, second)
         )
-        gray = to_gray(_oriented(np.abs(a - b), right, down), (0.0, shown[1] - min(shown[0], 0.0)))
+        gray = to_gray(oriented(np.abs(a - b), right, down), (0.0, shown[1] - min(shown[0], 0.0)))
         title = f"|difference| at {AXES[through]} = {voxel[through]}"
-        pictures.append(_picture(gray, first.grid, right, down, title, max_pixels))
+        pictures.append(as_picture(gray, first.grid, right, down, title, max_pixels))
     return pictures[0], pictures[1], pictures[2]
 
 
@@ -228,23 +205,12 @@ def hot_color(strength: np.ndarray) -> np.ndarray:
     return 255.0 * ramp
 
 
-DEPTH_COLORS = np.array(
-    [[255, 236, 110], [250, 140, 70], [214, 62, 110], [136, 60, 170], [60, 90, 235]], np.float64
-)
-
-
-def depth_color(depth: np.ndarray) -> np.ndarray:
-    """Return the colour of a depth of 0 (near) to 1 (far), as floats of 0 to 255."""
-    places = np.linspace(0, 1, len(DEPTH_COLORS))
-    return np.stack([np.interp(depth, places, DEPTH_COLORS[:, k]) for k in range(3)], axis=-1)
-
-
 def _projected_window(flat: list[np.ndarray], low: float) -> Window:
     values = np.concatenate([one[one != 0].ravel() for one in flat]).astype(np.float64)
-    return _open_window(low, float(np.percentile(values, 99.5)) if len(values) else low)
+    return open_window(low, float(np.percentile(values, 99.5)) if len(values) else low)
 
 
-def _open_window(low: float, high: float) -> Window:
+def open_window(low: float, high: float) -> Window:
     """Return a window that can be divided by, around the one value that all voxels have."""
     return low, high if high > low else low + max(1.0, 1e-6 * abs(low))
 
@@ -258,7 +224,7 @@ def _slice(voxels: np.ndarray, axis: int, index: int) -> np.ndarray:
     return np.asarray(voxels[(slice(None),) * (2 - axis) + (index,)])
 
 
-def _oriented(values: np.ndarray, right: int, down: int) -> np.ndarray:
+def oriented(values: np.ndarray, right: int, down: int) -> np.ndarray:
     """Turn a slice, whose rows are the higher axis, so that ``down`` runs down."""
     flat = values.mean(axis=-1, dtype=np.float32) if values.ndim == 3 else values
     return flat if down > right else flat.T
@@ -313,7 +279,7 @@ def _means(voxels: np.ndarray) -> list[np.ndarray]:
     return [total / np.maximum(count, 1), np.concatenate(along_y), np.concatenate(along_x)]
 
 
-def _maximum_and_place(voxels: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+def maximum_and_place(voxels: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the maximum along x, y or z and its index there."""
     along = 2 - axis
     if along != 0:
@@ -327,7 +293,7 @@ def _maximum_and_place(voxels: np.ndarray, axis: int) -> tuple[np.ndarray, np.nd
     return best, where
 
 
-def _picture(
+def as_picture(
     pixels: np.ndarray, grid: VolumeGrid, right: int, down: int, title: str, max_pixels: int
 ) -> Picture:
     """Return pixels resampled to squares: as small as the finer spacing if there is room."""

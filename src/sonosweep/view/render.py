@@ -21,6 +21,7 @@ def render_volume(
     pixels: int = 640,
     window: Window | None = None,
     max_voxels: int = MAX_VOXELS,
+    brightest: bool = False,
 ) -> tuple[UInt8[np.ndarray, "rows columns"], Float[np.ndarray, "4"]]:
     """Return an oblique picture of a volume, and where it lies on the screen.
 
@@ -34,6 +35,7 @@ def render_volume(
         pixels: Longest edge of the picture.
         window: Values shown black and white.
         max_voxels: A larger volume is thinned before.
+        brightest: Show the brightest voxel along each ray instead, whatever is before it.
 
     Returns:
         The picture, and its (left, top, right, bottom) edges on the screen in mm.
@@ -68,6 +70,7 @@ def render_volume(
         np.array([rows, columns, int(np.ceil((high[2] - low[2]) / step_mm)) + 1]),
         OPACITY * step_mm / diagonal_mm,
         FAR_SHADE,
+        brightest,
     )
     bounds = np.array([low[0], low[1], low[0] + columns * edge, low[1] + rows * edge])
     return picture, bounds

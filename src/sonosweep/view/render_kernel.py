@@ -8,8 +8,8 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def march(voxels, start, right, down, away, counts, opacity, far_shade):
-    """Collect light along parallel rays, front to back, until little can be added."""
+def march(voxels, start, right, down, away, counts, opacity, far_shade, brightest):
+    """Collect light along parallel rays, front to back, or find the brightest place."""
     rows, columns, steps = counts[0], counts[1], counts[2]
     depth, height, width = voxels.shape
     picture = np.zeros((rows, columns), np.uint8)
@@ -26,8 +26,11 @@ def march(voxels, start, right, down, away, counts, opacity, far_shade):
                 i, j, k = min(int(x), width - 2), min(int(y), height - 2), min(int(z), depth - 2)
                 i, j, k = max(i, 0), max(j, 0), max(k, 0)
                 value = _trilinear(voxels, i, j, k, x - i, y - j, z - k) / 255.0
-                alpha = min(1.0, opacity * value * value)
                 shade = 1.0 - (1.0 - far_shade) * step / steps
+                if brightest:
+                    light = max(light, value * shade)
+                    continue
+                alpha = min(1.0, opacity * value * value)
                 light += passing * alpha * shade * (0.35 + 0.65 * value)
                 passing *= 1.0 - alpha
                 if passing < 0.02:

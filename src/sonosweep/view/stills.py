@@ -9,24 +9,21 @@ from sonosweep.geometry import invert_pose
 from sonosweep.scan import Trajectory, Volume, voxel_to_reference
 from sonosweep.view.content import ReportRun
 from sonosweep.view.payload import name_axes
-from sonosweep.view.picture_frame import draw_picture
+from sonosweep.view.picture_frame import draw_depth_map, draw_picture
 from sonosweep.view.projections import (
     Picture,
     best_covered,
-    depth_colored_projection,
     difference_cuts,
     display_window,
     orthogonal_cuts,
-    overlay,
     projections,
 )
 from sonosweep.view.render import render_volume
 from sonosweep.view.svg import run_color
+from sonosweep.view.vessels import filled, shown_name, vessel_axes, vessel_pictures
 
 STILL_PIXELS = 520
 MANY = 24  # pictures; a report with more gets smaller ones, so that it can still be mailed
-NEARLY_BLACK = 8
-MARGIN = 12  # pixels around what is rendered
 Voxel = tuple[int, int, int]
 
 
@@ -40,7 +37,7 @@ def still_pictures(runs: Sequence[ReportRun]) -> str:
         return ""
     first = runs[0].trajectory
     place = _place_mm(shown[0][2], best_covered(shown[0][2]))
-    count = sum(7 + 2 * len(run.companions) for _, run, _ in shown)
+    count = sum(7 + 5 * len(run.companions) for _, run, _ in shown)
     pixels = int(STILL_PIXELS * min(1.0, (MANY / count) ** 0.5))
     parts = [_renderings(shown, first)]
     parts += [_run_pictures(k, run, volume, first, place, pixels) for k, run, volume in shown]
@@ -68,7 +65,7 @@ def _run_pictures(
             for one in projections(volume, "maximum", max_pixels=pixels)
         ),
         *(
-            _companion(name, companion, volume, cuts[0], first, place, pixels)
+            _companion(name, companion, volume, first, place, pixels)
             for name, companion in run.companions.items()
         ),
     ]
@@ -79,37 +76,40 @@ def _companion(
     name: str,
     companion: Volume,
     volume: Volume,
-    cut: Picture,
     first: Trajectory,
     place: np.ndarray,
     pixels: int,
 ) -> str:
-    """Return a companion's projection coloured by depth, and its cut over the B-mode's."""
-    names = name_axes(companion, first)
-    axis = next((k for k, word in enumerate(names) if word == "axial"), 1)
-    colored = depth_colored_projection(companion, axis, max_pixels=pixels)
-    parts = [
-        _framed(
-            colored, names, f"Maximum along the {names[axis]} axis; colour is the place along it"
+    """Return vessels over the B-mode, their depth map, and a cross-section beside it."""
+    names, at = name_axes(companion, first), _voxel_at(companion, place)
+    depth, along = axes = vessel_axes(names)
+    to_first = invert_pose(first.image_to_reference[0]).numpy()
+    made = vessel_pictures(companion, volume, to_first, axes, at, pixels)
+    right, down = _axis_names(made.depth_map.picture, names)
+    section = (made.section_mm, made.section_down)
+    drawn = draw_depth_map(made.depth_map, right, down, section)
+    words = f"Maximum along the {names[depth]} axis; colour is the place along it"
+    large = [_figure(drawn, words)]
+    if made.over_b_mode is not None:
+        over = draw_picture(made.over_b_mode)
+        large.insert(0, _figure(over, "Seen obliquely through the B-mode volume"))
+    where = f"{names[along]} {made.section_mm:.1f} mm (dashed)"
+    small = [
+        _framed(picture, names, words)
+        for picture, words in (
+            (made.cross_section, f"B-mode at {where}"),
+            (made.overlaid, f"{shown_name(name)} over it"),
+            (made.maximum, f"Maximum along the {names[along]} axis"),
         )
+        if picture is not None
     ]
-    parts.append(
-        _framed(
-            projections(companion, "maximum", max_pixels=pixels)[0],
-            names,
-            f"Maximum along the {names[2]} axis",
-        )
-    )
-    if companion.grid == volume.grid:
-        at = _voxel_at(companion, place)
-        above = overlay(cut, orthogonal_cuts(companion, at, max_pixels=pixels)[0])
-        parts.append(_framed(above, names, "Over the B-mode, same cut as above"))
-    length_mm = companion.grid.size[axis] * companion.grid.spacing_mm[axis]
+    low, high = made.depth_map.window
     legend = (
-        f'<p class="legend">Colour: 0 mm<span class="ramp"></span>{length_mm:.4g} mm along the '
-        f"{names[axis]} axis, from the edge of the volume</p>"
+        '<p class="legend">Millimetres count from the edge of the volume; black is '
+        f"{low:.4g}, the brightest colours are {high:.4g}.</p>"
     )
-    return f"<h3>{escape(name)}</h3>{_row(parts)}{legend}"
+    head = f"<h3>{escape(shown_name(name))}</h3>"
+    return f'{head}<div class="pictures two">{"".join(large)}</div>{_row(small)}{legend}'
 
 
 def _difference(
@@ -138,25 +138,12 @@ def _renderings(shown: Sequence[tuple[int, ReportRun, Volume]], first: Trajector
     figures = []
     for (pixels, bounds), (_, run, _) in zip(drawn, shown, strict=True):
         alike = [other for other, edges in drawn if np.array_equal(edges, bounds)]
-        rows, columns = _content(np.maximum.reduce(alike))
+        rows, columns = filled(np.maximum.reduce(alike))
         edge = float(bounds[2] - bounds[0]) / pixels.shape[1]
         picture = Picture(pixels[rows, columns], edge, "", "", "volume rendering")
         words = f"Seen obliquely from before the first frame ({run.name}); far is darker"
-        figures.append(
-            f"<figure>{draw_picture(picture)}<figcaption>{escape(words)}</figcaption></figure>"
-        )
+        figures.append(_figure(draw_picture(picture), words))
     return f'<div class="pictures two">{"".join(figures)}</div>'
-
-
-def _content(pixels: np.ndarray) -> tuple[slice, slice]:
-    """Return the rows and columns where something is to be seen, and a little around them."""
-    found = np.nonzero(pixels > NEARLY_BLACK)
-    if len(found[0]) == 0:
-        return slice(None), slice(None)
-    rows, columns = (
-        slice(max(0, int(index.min()) - MARGIN), int(index.max()) + MARGIN + 1) for index in found
-    )
-    return rows, columns
 
 
 def _row(figures) -> str:
@@ -164,9 +151,15 @@ def _row(figures) -> str:
 
 
 def _framed(picture: Picture, names: tuple[str, str, str], caption: str) -> str:
-    right, down = names["xyz".index(picture.right)], names["xyz".index(picture.down)]
-    drawn = draw_picture(picture, right, down)
+    return _figure(draw_picture(picture, *_axis_names(picture, names)), caption)
+
+
+def _figure(drawn: str, caption: str) -> str:
     return f"<figure>{drawn}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def _axis_names(picture: Picture, names: tuple[str, str, str]) -> tuple[str, str]:
+    return names["xyz".index(picture.right)], names["xyz".index(picture.down)]
 
 
 def _through(picture: Picture) -> int:
