@@ -18,6 +18,7 @@ VERBS = {
     "calibrate": "Measure how fast a probe's speckle decorrelates, once per probe and preset.",
     "evaluate": "Say how far an estimated trajectory is from the tracked one.",
     "info": "Say what a file holds, and what is missing.",
+    "beamform": "Turn channel data into B-mode, power Doppler and photoacoustic frames.",
     "convert": "Make a sequence from images, video, DICOM, .mat or HDF5 and poses, or back.",
 }
 

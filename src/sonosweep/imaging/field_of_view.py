@@ -1,0 +1,90 @@
+"""Where the pixels of a sweep lie, if nobody says."""
+
+import math
+
+import numpy as np
+
+from sonosweep.errors import ScanError
+from sonosweep.imaging.aperture import array_shape
+from sonosweep.imaging.pixel_grid import PixelGrid, centered_grid
+from sonosweep.scan import ChannelData, Probe
+
+FIRST_DEPTH_MM = 0.5
+RING_PART = 0.6
+"""Width of the image over the radius of an array that surrounds the body."""
+MOST_PIXELS = 1 << 26
+
+
+def field_of_view(
+    data: ChannelData,
+    columns: int | None = None,
+    rows: int | None = None,
+    pixel_mm: float | None = None,
+    depth_mm: float | None = None,
+) -> PixelGrid:
+    """Return a grid of square pixels that suits an array and its recordings.
+
+    In front of a linear or curved array the image is as wide as the array and as deep as it
+    is wide, but not deeper than recorded. Within an array that surrounds the body by more
+    than half it is a square in the middle.
+
+    Args:
+        data: Probe, sampling and sound speed; the samples themselves are not read.
+        columns: Pixels across; 256 where nothing else follows from the rest.
+        rows: Pixels in depth.
+        pixel_mm: Distance between pixels.
+        depth_mm: How deep the image ends; before an array that surrounds the body, how far
+            from its middle.
+
+    Raises:
+        ScanError: If a number is not positive, or there would be too many pixels.
+    """
+    _check(columns, rows, pixel_mm, depth_mm)
+    surrounding = surrounding_radius_mm(data.probe)
+    lateral = data.probe.element_positions_mm[:, 0].numpy()
+    width = float(np.ptp(lateral)) * len(lateral) / max(len(lateral) - 1, 1)
+    if surrounding is not None:
+        width = RING_PART * surrounding
+    if width == 0:
+        raise ScanError(
+            f"the elements of probe '{data.probe.name}' lie at one place: say how wide the image"
+            " is (--columns and --pixel-mm)"
+        )
+    spacing = pixel_mm or width / (columns or 256)
+    across = columns or max(round(width / spacing), 1)
+    if surrounding is None:
+        first, last = FIRST_DEPTH_MM, depth_mm or min(width, recorded_depth_mm(data))
+    else:
+        last = depth_mm or width / 2
+        first = -last if rows is None else last - spacing * (rows - 1)
+    down = rows or max(round((last - first) / spacing), 1)
+    if across * down > MOST_PIXELS:
+        raise ScanError(f"an image of {across} x {down} pixels is too large: use larger pixels")
+    return centered_grid(across, down, (float(spacing), float(spacing)), float(first))
+
+
+def recorded_depth_mm(data: ChannelData) -> float:
+    """Return the depth from which the last sample of a straight echo or wave comes."""
+    start_s = 0.0 if data.start_time_s is None else float(data.start_time_s.min())
+    end_s = start_s + data.samples.shape[3] / data.sampling_frequency_hz
+    ways = 1 if data.transmit_delays_s is None else 2
+    return end_s * data.sound_speed_m_per_s * 1e3 / ways
+
+
+def surrounding_radius_mm(probe: Probe) -> float | None:
+    """Return the radius of an array that surrounds the body by more than half, or ``None``."""
+    shape = array_shape(probe)
+    if shape is None or shape.is_line:
+        return None
+    if math.hypot(*shape.normals.mean(axis=0)) >= 2 / math.pi:
+        return None
+    return float(np.linalg.norm(shape.elements_mm[:, :2], axis=1).mean())
+
+
+def _check(
+    columns: int | None, rows: int | None, pixel_mm: float | None, depth_mm: float | None
+) -> None:
+    numbers = {"columns": columns, "rows": rows, "pixel size": pixel_mm, "depth": depth_mm}
+    for what, value in numbers.items():
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise ScanError(f"the {what} of an image must be above 0, got {value:g}")
