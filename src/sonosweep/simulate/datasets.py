@@ -1,0 +1,277 @@
+"""Data sets by recipe: which scans of whom, how the probe moves in each, and what for.
+
+========== ======================================================================== =========
+name       as in the paper                                                          split
+========== ======================================================================== =========
+dataset1   9 subjects, 3 S-shaped scans of each forearm, 900 to 1000 frames         5 : 1 : 3
+dataset2   10 subjects, 3 S-shaped scans of each forearm, 400 to 550 frames, each   5 : 1 : 4
+           with power Doppler and photoacoustic frames
+dataset3   19 subjects; C, L and S over both forearms, across the arm and along     10 : 4 : 5
+           it; convex probe, 36 to 430 frames
+========== ======================================================================== =========
+
+Subjects of the test part have numbers from 900000 on, so that training can refuse them.
+
+References:
+    Lee et al., "Enhancing Free-hand 3D Photoacoustic and Ultrasound Reconstruction using
+    Deep Learning", section "Data Collection". The paper does not say how the 60 scans of
+    data set 2 are spread over subjects; 10 with 6 scans each give its split 5 : 1 : 4.
+"""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from itertools import product
+from typing import Literal, get_args
+
+import numpy as np
+
+from sonosweep.errors import ScanError
+from sonosweep.scan.split import PARTS, Split
+from sonosweep.simulate.bodies import BodyName, Side
+from sonosweep.simulate.motion import MotionSettings, Orientation
+from sonosweep.simulate.random_sweep import ProbeKind
+from sonosweep.simulate.seeds import FIRST_TEST_SUBJECT, generator, subject_name
+from sonosweep.simulate.sweep_path import SweepShape
+from sonosweep.simulate.sweep_settings import Modality
+
+DatasetName = Literal["dataset1", "dataset2", "dataset3"]
+DatasetSize = Literal["full", "small"]
+Part = Literal["train", "validation", "test"]
+
+MOST_SEEDS = 100
+SUBJECTS_PER_SEED = 100
+STEP_MM = 0.21  # mean of data set 1: 199.3 mm in 950 frames
+ARM_MM = 250.0  # length of a simulated forearm
+END_MM = 6.0  # of it that a sweep leaves free
+CONVEX_CONTACT_MM = 25.0  # of its face that rests on an arm
+
+
+@dataclass(frozen=True)
+class PlannedScan:
+    """One scan of a data set, before it is made.
+
+    Attributes:
+        name: Unique within its subject.
+        subject: Number of the subject.
+        scan: Number of the scan, unique within its subject.
+        part: What it is for.
+        side: Which forearm.
+        motion: Of the probe.
+        probe: Which probe.
+        pixels: Columns and rows of a frame.
+        modalities: Companions beside B-mode.
+        body: What is scanned.
+    """
+
+    name: str
+    subject: int
+    scan: int
+    part: Part
+    side: Side
+    motion: MotionSettings
+    probe: ProbeKind = "linear"
+    pixels: tuple[int, int] = (256, 256)
+    modalities: tuple[Modality, ...] = ()
+    body: BodyName = "forearm"
+
+    def digest(self) -> str:
+        """Return a text that differs for different scans and versions of the program."""
+        facts = repr((version("sonosweep"), sorted(asdict(self).items())))
+        return hashlib.sha256(facts.encode()).hexdigest()[:32]
+
+
+@dataclass(frozen=True)
+class DatasetRecipe:
+    """A data set, before it is made.
+
+    Attributes:
+        name: Which one.
+        size: ``"full"`` as in the paper, or ``"small"`` for a laptop.
+        seed: Another number gives other subjects.
+        scans: All of them, ordered by subject.
+    """
+
+    name: str
+    size: str
+    seed: int
+    scans: tuple[PlannedScan, ...]
+
+    def split(self) -> Split:
+        """Return which scans are for what."""
+        parts = {
+            part: tuple(i for i, scan in enumerate(self.scans) if scan.part == part)
+            for part in PARTS
+        }
+        return Split(tuple(subject_name(scan.subject) for scan in self.scans), **parts)
+
+    def digest(self) -> str:
+        """Return a text that differs for different data sets and versions of the program."""
+        facts = "".join(scan.digest() for scan in self.scans)
+        return hashlib.sha256(facts.encode()).hexdigest()[:32]
+
+
+def dataset_recipe(name: DatasetName, size: DatasetSize = "full", seed: int = 0) -> DatasetRecipe:
+    """Return the recipe of a data set.
+
+    Args:
+        name: Which one.
+        size: ``"small"`` has 128 x 128 pixels over the same field of view (data set 3:
+            320 x 240) and shorter scans; those of data set 1 for tests are as long as in
+            the full set.
+        seed: From 0 to 99.
+
+    Raises:
+        ScanError: If there is no such recipe.
+    """
+    if name not in RECIPES:
+        raise ScanError(f"there is no data set '{name}'; known are {', '.join(RECIPES)}")
+    if size not in get_args(DatasetSize):
+        raise ScanError(f"a data set is 'full' or 'small', got '{size}'")
+    if not 0 <= seed < MOST_SEEDS:
+        raise ScanError(f"the seed of a data set is from 0 to {MOST_SEEDS - 1}, got {seed}")
+    return DatasetRecipe(name, size, seed, tuple(RECIPES[name](size == "small", seed)))
+
+
+def _subjects(seed: int, sizes: tuple[int, int, int]) -> list[tuple[int, Part]]:
+    """Return the numbers of the subjects and what they are for."""
+    subjects: list[tuple[int, Part]] = []
+    parts: tuple[Part, Part, Part] = ("train", "validation", "test")
+    for part, count in zip(parts, sizes, strict=True):
+        first = seed * SUBJECTS_PER_SEED + (FIRST_TEST_SUBJECT if part == "test" else 0)
+        subjects += [(first + len(subjects) + k, part) for k in range(count)]
+    return subjects
+
+
+def _dataset1(small: bool, seed: int) -> list[PlannedScan]:
+    scans: list[PlannedScan] = []
+    for subject, part in _subjects(seed, (5, 1, 3)):
+        for number, (side, repeat) in enumerate(_each_arm()):
+            short = small and part != "test"
+            draw = generator(subject, number, "plan")
+            frames = 300 if short else int(draw.integers(900, 1001))
+            length_mm = 65.0 if short else float(draw.uniform(185, 215))
+            scans.append(
+                PlannedScan(
+                    name=f"{_hand(side)}_Per_S_{repeat + 1}",
+                    subject=subject,
+                    scan=number,
+                    part=part,
+                    side=side,
+                    motion=_s_shape(draw, length_mm, frames),
+                    pixels=(128, 128) if small else (256, 256),
+                )
+            )
+    return scans
+
+
+def _dataset2(small: bool, seed: int) -> list[PlannedScan]:
+    scans: list[PlannedScan] = []
+    for subject, part in _subjects(seed, (5, 1, 4)):
+        for number, (side, repeat) in enumerate(_each_arm()):
+            if small and repeat > 0:
+                continue
+            draw = generator(subject, number, "plan")
+            frames = int(draw.integers(400, 549))
+            if small:
+                frames //= 4
+            scans.append(
+                PlannedScan(
+                    name=f"{_hand(side)}_Per_S_{repeat + 1}",
+                    subject=subject,
+                    scan=number,
+                    part=part,
+                    side=side,
+                    motion=_s_shape(draw, STEP_MM * frames, frames),
+                    pixels=(128, 128) if small else (256, 256),
+                    modalities=("power_doppler", "photoacoustic"),
+                )
+            )
+    return scans
+
+
+def _dataset3(small: bool, seed: int) -> list[PlannedScan]:
+    scans: list[PlannedScan] = []
+    sides: tuple[Side, ...] = ("left", "right")
+    orientations: tuple[Orientation, ...] = ("parallel", "perpendicular")
+    shapes: tuple[SweepShape, ...] = ("C", "L", "S")
+    for subject, part in _subjects(seed, (3, 1, 2) if small else (10, 4, 5)):
+        for number, (side, orientation, shape) in enumerate(product(sides, orientations, shapes)):
+            draw = generator(subject, number, "plan")
+            # 30,552 frames in 228 scans: 134 on average.
+            frames = int(np.clip(np.rint(np.exp(draw.normal(4.75, 0.5))), 36, 430))
+            length_mm = float(draw.uniform(100, 190))
+            excursion_mm = float(draw.uniform(8, 14) * draw.choice((-1, 1)))
+            contact_mm = CONVEX_CONTACT_MM
+            free_mm = contact_mm / 2 if orientation == "parallel" else 0.0
+            motion = MotionSettings(
+                shape=shape,
+                length_mm=length_mm,
+                frames=frames,
+                orientation=orientation,
+                excursion_mm=excursion_mm,
+                turning=float(draw.uniform(0, 0.4)),
+                offset_mm=_offset(draw, length_mm + 2 * free_mm),
+                speed_variation=float(draw.uniform(0.2, 0.5)),
+                pauses=0,
+                largest_step_mm=max(1.0, 4 * length_mm / frames),
+                contact_width_mm=contact_mm,
+            )
+            scans.append(
+                PlannedScan(
+                    name=f"{_hand(side)}_{orientation[:3].title()}_{shape}_DtP",
+                    subject=subject,
+                    scan=number,
+                    part=part,
+                    side=side,
+                    motion=motion,
+                    probe="convex",
+                    pixels=(320, 240) if small else (640, 480),
+                )
+            )
+    return scans
+
+
+RECIPES: dict[str, Callable[[bool, int], list[PlannedScan]]] = {
+    "dataset1": _dataset1,
+    "dataset2": _dataset2,
+    "dataset3": _dataset3,
+}
+
+
+def _each_arm() -> list[tuple[Side, int]]:
+    """Return three scans of each forearm."""
+    sides: tuple[Side, ...] = ("left", "right")
+    return list(product(sides, range(3)))
+
+
+def _hand(side: Side) -> str:
+    """Return the side as the public data sets write it."""
+    return {"left": "LH", "right": "RH"}[side]
+
+
+def _s_shape(draw: np.random.Generator, length_mm: float, frames: int) -> MotionSettings:
+    """Return an arbitrary S across the arm, within what fits on a forearm."""
+    widest = min(9.0, length_mm / 8)
+    excursion_mm = float(draw.uniform(0.4, 1.0) * widest * draw.choice((-1, 1)))
+    return MotionSettings(
+        shape="S",
+        length_mm=length_mm,
+        frames=frames,
+        excursion_mm=excursion_mm,
+        turning=float(draw.uniform(0, 0.6)),
+        offset_mm=_offset(draw, length_mm),
+        speed_variation=float(draw.uniform(0.5, 0.9)),
+        pauses=int(draw.integers(0, 1 + frames // 200)),
+        pause_s=float(draw.uniform(0.3, 1.0)),
+        hand_unsteadiness=float(draw.uniform(0.6, 1.1)),
+        tremor_mm=float(draw.uniform(0.005, 0.025)),
+        gel_mm=float(draw.uniform(0.2, 1.2)),
+    )
+
+
+def _offset(draw: np.random.Generator, length_mm: float) -> tuple[float, float]:
+    """Return where on the arm a sweep of at most this extent has its middle."""
+    free = max(ARM_MM / 2 - END_MM - length_mm / 2, 0.0)
+    return float(draw.uniform(-3, 3)), float(draw.uniform(-free, free))
