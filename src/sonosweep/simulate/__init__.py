@@ -2,6 +2,7 @@
 
 from sonosweep.simulate.beam import Beam
 from sonosweep.simulate.body import REFERENCE_CODE, Body, Tissue, Vessel
+from sonosweep.simulate.body_motion import BodyMotionSettings
 from sonosweep.simulate.channel_sweep import ChannelSweepSettings, simulate_channel_sweep
 from sonosweep.simulate.channels import (
     Acquisition,
@@ -11,8 +12,14 @@ from sonosweep.simulate.channels import (
     simulate_plane_waves,
 )
 from sonosweep.simulate.deformation import STILL, Deformation, PulsingArtery
+from sonosweep.simulate.doppler_frames import DopplerSettings
+from sonosweep.simulate.photoacoustic_frames import PhotoacousticSettings
 from sonosweep.simulate.probes import linear_probe, linear_probe_l11_5v
+from sonosweep.simulate.random_sweep import draw_sweep
+from sonosweep.simulate.scanner import Scanner
 from sonosweep.simulate.seeds import FIRST_TEST_SUBJECT, refuse_test_subjects
+from sonosweep.simulate.sweep import simulate_sweep
+from sonosweep.simulate.sweep_settings import SweepSettings
 
 __all__ = [
     "FIRST_TEST_SUBJECT",
@@ -21,11 +28,17 @@ __all__ = [
     "Acquisition",
     "Beam",
     "Body",
+    "BodyMotionSettings",
     "ChannelSweepSettings",
     "Deformation",
+    "DopplerSettings",
+    "PhotoacousticSettings",
     "PulsingArtery",
+    "Scanner",
+    "SweepSettings",
     "Tissue",
     "Vessel",
+    "draw_sweep",
     "linear_probe",
     "linear_probe_l11_5v",
     "plane_wave_delays",
@@ -34,4 +47,5 @@ __all__ = [
     "simulate_ensemble",
     "simulate_photoacoustic",
     "simulate_plane_waves",
+    "simulate_sweep",
 ]

@@ -33,9 +33,9 @@ class DopplerSettings:
 
     pulses: int = 20
     pulse_repetition_hz: float = 3000.0
-    blood_db: float = -50.0
+    blood_db: float = -45.0
     noise_db: float = -85.0
-    tissue_speed_mm_per_s: float = 2.0
+    tissue_speed_mm_per_s: float = 1.0
     rank: Rank = "auto"
     black_db: float = 6.0
     dynamic_range_db: float = 30.0

@@ -16,7 +16,13 @@ from sonosweep.simulate.body_motion import BodyMotion, draw_body_motion
 from sonosweep.simulate.deformation import Deformation
 from sonosweep.simulate.motion import ProbeMotion, draw_motion
 from sonosweep.simulate.planes import sample_plane
-from sonosweep.simulate.scanner import PreparedScanner, detect, prepare_scanner, receive_echoes
+from sonosweep.simulate.scanner import (
+    PreparedScanner,
+    detect,
+    fill_with_gel,
+    prepare_scanner,
+    receive_echoes,
+)
 from sonosweep.simulate.seeds import generator
 from sonosweep.simulate.speckle import SpeckleRenderer
 from sonosweep.simulate.sweep_settings import SweepSettings
@@ -144,6 +150,7 @@ class SweepEchoes:
         iq = self.render(time)
         deformation = self.deformation_at(time, pose)
         tissue = sample_plane(self.body.tissue, self.body, pose, self.lines, deformation)
+        fill_with_gel(tissue)
         noise = self.generator(f"noise {frame}")
         try:
             received = receive_echoes(iq, tissue, self.prepared, noise)

@@ -32,7 +32,7 @@ class PhotoacousticSettings:
 
     fluence_per_mm: float = 0.11
     blood_db: float = 0.0
-    skin_db: float = -3.0
+    skin_db: float = -10.0
     noise_db: float = -40.0
 
     def __post_init__(self) -> None:

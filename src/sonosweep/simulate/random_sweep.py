@@ -8,11 +8,11 @@ elevation focus             14 to 22 mm                         lenses of linear
 center frequency            5.8 to 7.4 MHz                      of the echoes of a 7.6 MHz probe
 axial, lateral width        0.15 to 0.22, 0.30 to 0.45 mm       pulse length, aperture, preset
 attenuation                 0.55 to 0.95 of the table           people, and how it is tabled
-gain                        -22 to -8 dB                        the gain knob
+gain                        -30 to -16 dB                       the gain knob
 time gain compensation      85 to 115 % of muscle's loss        the preset
 sliders                     8 of standard deviation 1.5 dB      the operator
 dynamic range               50 to 72 dB                         the preset
-gray map                    gamma 0.85 to 1.3, contrast to 0.5  the preset
+gray map                    gamma 0.85 to 1.4, contrast to 0.5  the preset
 electronic noise            -90 to -68 dB                       the machine
 side lobes                  -52 to -38 dB, over 2 to 5 mm       aperture, apodization
 reverberation near the face -40 to -20 dB, over 0.8 to 2.5 mm   contact, lens
@@ -21,7 +21,7 @@ speckle reduction           0 (30 %) or 0.3 to 0.9              the preset
 compression                 0 to 0.08, changing by 0 to 0.015   pressure of the hand
 pulse                       0 to 0.12 of the radius, 50-100/min arteries of the arm
 breathing                   0 to 0.4 mm, 12 to 20/min           an arm at rest
-blood, its noise            -55 to -45 dB, -90 to -80 dB        power Doppler
+blood, its noise            -50 to -42 dB, -90 to -80 dB        power Doppler
 =========================== =================================== ================================
 
 A convex probe has 2.6 to 3.6 MHz, a radius of 40 mm, wider beams and less haze.
@@ -101,9 +101,9 @@ def draw_sweep(
         sector=CONVEX_SECTOR if probe == "convex" else None,
         modalities=modalities,
         doppler=DopplerSettings(
-            blood_db=draw.uniform(-55, -45),
+            blood_db=draw.uniform(-50, -42),
             noise_db=draw.uniform(-90, -80),
-            tissue_speed_mm_per_s=draw.uniform(0.5, 4),
+            tissue_speed_mm_per_s=draw.uniform(0.3, 2),
         ),
         tracker=tracker,
     )
@@ -135,11 +135,11 @@ def _draw_scanner(draw: np.random.Generator, beam: Beam, probe: ProbeKind) -> Sc
     reduction = draw.uniform(0.3, 0.9)
     return Scanner(
         attenuation_scale=attenuation,
-        gain_db=draw.uniform(-22, -8),
+        gain_db=draw.uniform(-30, -16),
         tgc_db_per_mm=float(muscle) * draw.uniform(0.85, 1.15),
         sliders_db=tuple(draw.normal(0, 1.5, 8).tolist()),
         dynamic_range_db=draw.uniform(50, 72),
-        gray_gamma=draw.uniform(0.85, 1.3),
+        gray_gamma=draw.uniform(0.85, 1.4),
         gray_contrast=draw.uniform(0, 0.5),
         noise_db=draw.uniform(-90, -68),
         side_lobe_db=draw.uniform(-52, -38),

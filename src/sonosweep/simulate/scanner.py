@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex64, Float32, UInt8
+from jaxtyping import Complex64, Float32, Int64, UInt8
 
 from sonosweep.errors import ScanError
 from sonosweep.imaging import PixelGrid, SectorGrid
@@ -24,6 +24,9 @@ BONE_REACH_MM = 0.75
 BONE_SLOPE = 0.6
 HAZE_WIDTH_MM = 3.0
 LEE_WINDOW = 5
+SIDE_LOBES = 8  # on either side
+SIDE_LOBE_GROWTH = 1.4  # of their distances
+SIDE_LOBE_DEPTH_MM = 20.0  # at which the curvature of their arcs is right
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class Scanner:
         gray_gamma: Exponent of the gray map; below 1 brightens what is dark.
         gray_contrast: 0 keeps the map straight, 1 makes it S-shaped.
         noise_db: Electronic noise, before amplification.
-        side_lobe_db: Clutter right beside an echo.
+        side_lobe_db: Mean level of clutter right beside an echo.
         side_lobe_mm: Lateral distance at which it has fallen to 1/e.
         haze_db: Reverberation at the face, which stays with the probe.
         haze_mm: Depth at which it has fallen to 1/e.
@@ -51,7 +54,7 @@ class Scanner:
     """
 
     attenuation_scale: float = 0.75
-    gain_db: float = -12.0
+    gain_db: float = -20.0
     tgc_db_per_mm: float = 1.0
     sliders_db: tuple[float, ...] = (0.0,)
     dynamic_range_db: float = 60.0
@@ -91,6 +94,21 @@ class Scanner:
 
 
 @dataclass(frozen=True, eq=False)
+class SideLobes:
+    """Weak images of each echo beside it.
+
+    Attributes:
+        lags: Columns from the echo.
+        delays: Rows below it: the way there is longer.
+        amplitudes: In parts of the echo, with random phases.
+    """
+
+    lags: Int64[np.ndarray, " lobes"]
+    delays: Int64[np.ndarray, " lobes"]
+    amplitudes: Complex64[np.ndarray, " lobes"]
+
+
+@dataclass(frozen=True, eq=False)
 class PreparedScanner:
     """A scanner with everything worked out that does not change within a sweep.
 
@@ -102,7 +120,7 @@ class PreparedScanner:
         haze: Reverberation near the probe.
         noise: Amplitude of the electronic noise's real and imaginary part.
         noise_blur: Correlation of noise from column to column.
-        side_lobe_decay: Side lobes left one column farther away.
+        side_lobes: Where they are and how strong.
         row_mm: From row to row.
         column_mm: From column to column; of a sector, at the beam's ``sector_depth_mm``.
         pulse_rows: Standard deviation of the pulse's envelope.
@@ -116,7 +134,7 @@ class PreparedScanner:
     haze: Complex64[np.ndarray, "rows columns"]
     noise: float
     noise_blur: float
-    side_lobe_decay: float
+    side_lobes: SideLobes
     row_mm: float
     column_mm: float
     pulse_rows: float
@@ -146,12 +164,18 @@ def prepare_scanner(
         haze=_haze(scanner, depths, column_mm, _columns(grid), generator),
         noise=float(10 ** (scanner.noise_db / 20) / np.sqrt(2)),
         noise_blur=float(np.exp(-column_mm / beam.lateral_fwhm_mm)),
-        side_lobe_decay=float(np.exp(-column_mm / scanner.side_lobe_mm)),
+        side_lobes=_side_lobes(scanner, beam, row_mm, column_mm, generator),
         row_mm=row_mm,
         column_mm=column_mm,
         pulse_rows=beam.axial_fwhm_mm / (2 * np.sqrt(2 * np.log(2))) / row_mm,
         row_phase_rad=-4 * np.pi / beam.wavelength_mm * row_mm,
     )
+
+
+def fill_with_gel(tissue: UInt8[np.ndarray, "rows columns"]) -> None:
+    """Make gel, in place, of what is outside of the body between it and the face."""
+    touched = np.maximum.accumulate(tissue != Tissue.OUTSIDE, axis=0)
+    tissue[~touched] = Tissue.GEL
 
 
 def receive_echoes(
@@ -180,12 +204,14 @@ def receive_echoes(
         tissue,
         prepared.first,
         prepared.half,
-        np.float32(10 ** (prepared.scanner.side_lobe_db / 20)),
-        np.float32(prepared.side_lobe_decay),
+        prepared.side_lobes.lags,
+        prepared.side_lobes.delays,
+        prepared.side_lobes.amplitudes,
         prepared.haze,
         noise,
         np.float32(prepared.noise_blur),
         prepared.gain,
+        np.empty_like(echoes),
         received,
     )
     if not np.isfinite(received.view(np.float32).sum()):
@@ -261,6 +287,24 @@ def _columns(grid: PixelGrid | SectorGrid) -> int:
 
 def _amplitude(level_db: np.ndarray) -> Float32[np.ndarray, " numbers"]:
     return (10 ** (np.asarray(level_db) / 20)).astype(np.float32)
+
+
+def _side_lobes(
+    scanner: Scanner,
+    beam: Beam,
+    row_mm: float,
+    column_mm: float,
+    generator: np.random.Generator,
+) -> SideLobes:
+    """Return side lobes on either side, each one for the gap to the next."""
+    edges = beam.lateral_fwhm_mm * SIDE_LOBE_GROWTH ** np.arange(SIDE_LOBES + 1)
+    away = np.sqrt(edges[1:] * edges[:-1]) * generator.uniform(0.95, 1.05, (2, SIDE_LOBES))
+    level = 10 ** (scanner.side_lobe_db / 20) * np.exp(-away / scanner.side_lobe_mm)
+    level *= np.sqrt(np.diff(edges) / beam.lateral_fwhm_mm)
+    turn = np.exp(2j * np.pi * generator.random((2, SIDE_LOBES)))
+    lags = np.rint(away / column_mm).astype(np.int64) * np.array([[-1], [1]])
+    delays = np.rint(away**2 / (2 * SIDE_LOBE_DEPTH_MM) / row_mm).astype(np.int64)
+    return SideLobes(lags.ravel(), delays.ravel(), (level * turn).ravel().astype(np.complex64))
 
 
 def _haze(

@@ -8,7 +8,9 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def receive(iq, tissue, first, half, side_lobe, decay, haze, noise, blur, gain, received):
+def receive(
+    iq, tissue, first, half, lags, delays, lobes, haze, noise, blur, gain, echoes, received
+):
     """Fill ``received`` with what arrives, amplified: echoes, clutter, haze and noise.
 
     Args:
@@ -16,38 +18,41 @@ def receive(iq, tissue, first, half, side_lobe, decay, haze, noise, blur, gain, 
         tissue: Label of each pixel.
         first: Per label, what is left of an amplitude between the face and the first row.
         half: Per label, what is left after half a row.
-        side_lobe: Amplitude of clutter beside an echo, in units of the echo.
-        decay: What is left of side lobes one column farther away.
+        lags: Columns by which each side lobe is beside its echo.
+        delays: Rows by which it is below.
+        lobes: Its amplitude, complex.
         haze: Reverberation near the probe.
         noise: White noise, ``(rows, columns, 2)``.
         blur: What noise has in common with that of the column before.
         gain: Amplification of each row.
+        echoes: Filled with what is left of the echoes.
         received: Output.
     """
     rows, columns = iq.shape
     left = np.empty(columns, np.float32)
     for c in range(columns):
         left[c] = first[tissue[0, c]] / half[tissue[0, c]]
-    echo = np.empty(columns, np.complex64)
     fresh = np.float32(np.sqrt(np.float32(1) - blur * blur))
-    zero, tiny = np.complex64(0), np.float32(1e-12)
+    tiny = np.float32(1e-12)
     for r in range(rows):
+        hiss = np.complex64(complex(noise[r, 0, 0], noise[r, 0, 1]))
         for c in range(columns):
             part = half[tissue[r, c]]
             passed = left[c] * part
-            echo[c] = iq[r, c] * passed
+            echoes[r, c] = iq[r, c] * passed
             # Behind bone nothing is left; numbers below 1e-38 would be slow.
             left[c] = max(passed * part, tiny)
-        from_left, hiss = zero, zero
-        for c in range(columns):
             sample = np.complex64(complex(noise[r, c, 0], noise[r, c, 1]))
-            hiss = sample if c == 0 else hiss * blur + sample * fresh
-            received[r, c] = (echo[c] + from_left * side_lobe + haze[r, c] + hiss) * gain[r]
-            from_left = (from_left + echo[c]) * decay
-        from_right, share = zero, side_lobe * gain[r]
-        for c in range(columns - 1, -1, -1):
-            received[r, c] += from_right * share
-            from_right = (from_right + echo[c]) * decay
+            if c > 0:
+                hiss = hiss * blur + sample * fresh
+            received[r, c] = echoes[r, c] + haze[r, c] + hiss
+        for lobe in range(lags.size):
+            if delays[lobe] <= r:
+                above, lag, share = echoes[r - delays[lobe]], lags[lobe], lobes[lobe]
+                for c in range(max(lag, 0), min(columns + lag, columns)):
+                    received[r, c] += share * above[c - lag]
+        for c in range(columns):
+            received[r, c] *= gain[r]
 
 
 @njit(cache=True, nogil=True)
