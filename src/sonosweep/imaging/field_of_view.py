@@ -9,6 +9,7 @@ from sonosweep.imaging.aperture import array_shape
 from sonosweep.imaging.pixel_grid import PixelGrid, centered_grid
 from sonosweep.scan import ChannelData, Probe
 
+COLUMNS = 256
 FIRST_DEPTH_MM = 0.5
 RING_PART = 0.6
 """Width of the image over the radius of an array that surrounds the body."""
@@ -30,14 +31,15 @@ def field_of_view(
 
     Args:
         data: Probe, sampling and sound speed; the samples themselves are not read.
-        columns: Pixels across; 256 where nothing else follows from the rest.
+        columns: Pixels across; 256 unless something else follows from the rest.
         rows: Pixels in depth.
         pixel_mm: Distance between pixels.
         depth_mm: How deep the image ends; before an array that surrounds the body, how far
             from its middle.
 
     Raises:
-        ScanError: If a number is not positive, or there would be too many pixels.
+        ScanError: If a number is not positive, they contradict each other, or there would be
+            too many pixels.
     """
     _check(columns, rows, pixel_mm, depth_mm)
     surrounding = surrounding_radius_mm(data.probe)
@@ -50,17 +52,20 @@ def field_of_view(
             f"the elements of probe '{data.probe.name}' lie at one place: say how wide the image"
             " is (--columns and --pixel-mm)"
         )
-    spacing = pixel_mm or width / (columns or 256)
-    across = columns or max(round(width / spacing), 1)
     if surrounding is None:
-        first, last = FIRST_DEPTH_MM, depth_mm or min(width, recorded_depth_mm(data))
+        height = (depth_mm or min(width, recorded_depth_mm(data))) - FIRST_DEPTH_MM
     else:
-        last = depth_mm or width / 2
-        first = -last if rows is None else last - spacing * (rows - 1)
-    down = rows or max(round((last - first) / spacing), 1)
+        height = 2 * depth_mm if depth_mm else width
+    if height <= 0:
+        raise ScanError(f"the image begins {FIRST_DEPTH_MM:g} mm deep and must end below that")
+    spacing = pixel_mm or width / (columns or COLUMNS)
+    if rows is not None and depth_mm is not None:
+        spacing = height / rows
+    across, down = columns or round(width / spacing), rows or round(height / spacing)
     if across * down > MOST_PIXELS:
         raise ScanError(f"an image of {across} x {down} pixels is too large: use larger pixels")
-    return centered_grid(across, down, (float(spacing), float(spacing)), float(first))
+    first = FIRST_DEPTH_MM if surrounding is None else -spacing * (down - 1) / 2
+    return centered_grid(max(across, 1), max(down, 1), (float(spacing), float(spacing)), first)
 
 
 def recorded_depth_mm(data: ChannelData) -> float:
@@ -88,3 +93,8 @@ def _check(
     for what, value in numbers.items():
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ScanError(f"the {what} of an image must be above 0, got {value:g}")
+    if None not in (rows, depth_mm) and (pixel_mm is not None or columns is not None):
+        raise ScanError(
+            "the depth of an image follows from its rows and the size of its pixels: give only one"
+            " of --rows and --depth-mm"
+        )
