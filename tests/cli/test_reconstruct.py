@@ -14,6 +14,7 @@ import torch
 from sonosweep.cli.progress import progress
 from sonosweep.io import read_trajectory, read_volume
 from sonosweep.io.hdf5 import read_scan, write_scan
+from sonosweep.scan import Companion
 
 OUTPUTS = {
     "coverage.nrrd",
@@ -22,6 +23,7 @@ OUTPUTS = {
     "summary.json",
     "trajectory.csv",
     "trajectory.mrk.json",
+    "vessels_photoacoustic.png",
     "volume.nrrd",
     "volume_photoacoustic.nrrd",
 }
@@ -67,6 +69,52 @@ def test_a_bar_moves_where_a_person_looks(monkeypatch, capsys):
     assert "compounding" in error
     assert "\N{BOX DRAWINGS HEAVY HORIZONTAL}" in error
     assert "12 of 12" not in error
+
+
+def test_photoacoustic_frames_are_corrected(run, sweep, tmp_path):
+    """Skin is black in the volume, and what lies below is brighter by the light it lost."""
+    words = "reconstruct", sweep, "--poses", "tracked", "--voxel-mm", "0.4", "-o"
+    assert run(*words, "plain").code == 0
+    fading = "--depth-compensation-per-mm", "0.05", "--photoacoustic-range-db", "40"
+    assert run(*words, "corrected", "--reject-skin-mm", "5", *fading).code == 0
+
+    plain, corrected = (
+        read_volume(tmp_path / name / "volume_photoacoustic.nrrd").voxels.astype(float)
+        for name in ("plain", "corrected")
+    )
+
+    depth_mm = 0.4 * np.arange(plain.shape[1])  # the frames' rows, too, are 0.4 mm apart
+    assert not corrected[:, depth_mm < 4.5].any()
+    levels = 255 / 40 * 20 * np.log10(np.e) * 0.05 * depth_mm[20]
+    added = (corrected - plain)[:, 20][plain[:, 20] < 255 - levels]
+    assert np.median(added) == pytest.approx(levels, abs=1.0)  # each is rounded to a level
+
+
+def test_corrections_without_photoacoustic_frames(run, sweep, tmp_path):
+    """What cannot act is refused in one sentence, before any work."""
+    scan = replace(read_scan(sweep), companions={})
+    write_scan(scan, tmp_path / "plain.h5")
+
+    ran = run("reconstruct", "plain.h5", "--poses", "tracked", "--reject-skin-mm", "2", "-o", "out")
+
+    assert ran.code != 0
+    assert "no photoacoustic frames to correct" in ran.sentence
+    assert not (tmp_path / "out").exists()
+    ran = run("reconstruct", sweep, "--photoacoustic-range-db", "40", "-o", "out")
+    assert "needs --depth-compensation-per-mm" in ran.sentence
+
+
+def test_iq_becomes_no_volume(run, sweep, tmp_path):
+    """Companions that are no images are named, and the rest is reconstructed."""
+    scan = read_scan(sweep)
+    iq = Companion(np.ones((len(scan.frames), 48, 40, 2), np.float32), (0.4, 0.4))
+    write_scan(replace(scan, companions={"iq": iq}), tmp_path / "with_iq.h5")
+
+    ran = run("reconstruct", "with_iq.h5", "--poses", "tracked", "--voxel-mm", "0.4", "-o", "out")
+
+    assert ran.code == 0
+    assert "no volume of companion 'iq': it has two channels" in ran.error
+    assert not list((tmp_path / "out").glob("volume_*"))
 
 
 def test_the_curve_for_slicer_follows_the_middle_of_the_image(run, sweep, tmp_path):

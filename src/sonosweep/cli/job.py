@@ -4,7 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +13,7 @@ from sonosweep.cli.info import image_center_mm
 from sonosweep.cli.inputs import InputOptions, read
 from sonosweep.cli.motion import MotionOptions, find_trajectory
 from sonosweep.cli.output import plain
+from sonosweep.cli.photoacoustic_options import PhotoacousticOptions, photoacoustic_correction
 from sonosweep.cli.progress import progress
 from sonosweep.cli.volume_options import VolumeOptions, describe_bytes, volume_settings
 from sonosweep.evaluate import compare_trajectories
@@ -23,15 +24,19 @@ from sonosweep.io.plus_config import read_plus_config
 from sonosweep.reconstruct import (
     B_MODE,
     VolumeSettings,
+    correct_photoacoustic,
     engine,
     estimate_bytes,
+    image_companions,
+    left_out,
     must_compile,
     reconstruct_scan,
     sweep_grid,
 )
 from sonosweep.scan import FrameView, Scan, Trajectory, Volume, locate_image, select_tracked
-from sonosweep.view import Report, ReportRun, write_report
+from sonosweep.view import Report, ReportRun, write_report, write_vessel_picture
 
+VESSELS = ("power_doppler", "photoacoustic")  # how companions that show vessels begin
 UNITS = {"_mm": "mm", "_deg": "°", "_percent": "%", "_db": "dB"}
 
 
@@ -43,6 +48,7 @@ class Job:
         motion: Where the motion comes from.
         volume: How volumes are made.
         inputs: How the scan is read.
+        photoacoustic: How photoacoustic frames are corrected.
         world: How volumes state coordinates; ``None``: ``"ras"``, but ``"lps"`` where a
             PLUS configuration says how to make a MetaImage, so that it is PLUS's own file.
         volume_format: Format of the volumes.
@@ -51,6 +57,7 @@ class Job:
     motion: MotionOptions
     volume: VolumeOptions
     inputs: InputOptions
+    photoacoustic: PhotoacousticOptions = field(default_factory=PhotoacousticOptions)
     world: Literal["ras", "lps"] | None = None
     volume_format: Literal["nrrd", "mha", "nii.gz", "dicom"] = "nrrd"
 
@@ -74,6 +81,7 @@ def run_job(path: Path, folder: Path, job: Job) -> JobResult:
     file = job.inputs.plus_config
     config = None if file is None else read_plus_config(file)
     settings = volume_settings(job.volume, config)
+    recorded = correct_photoacoustic(recorded, photoacoustic_correction(job.photoacoustic))
     scan, trajectory = find_trajectory(recorded, job.motion)
     if trajectory.method == "tracked" and engine(settings) == "gather":
         scan = locate_image(scan, job.motion.crop)  # to estimate, it was located already
@@ -86,6 +94,7 @@ def run_job(path: Path, folder: Path, job: Job) -> JobResult:
     plus_volume = config is not None and config.reconstruction is not None
     world = job.world or ("lps" if plus_volume and job.volume_format == "mha" else "ras")
     files = write_results(folder, scan, trajectory, volumes, world, job.volume_format)
+    files += write_vessels(folder, trajectory, volumes)
     report = make_report(scan, (run,), words, (*files, "report.html", "summary.json"))
     summary = {**summarize(scan, (run,), volumes[B_MODE], report), "world": world}
     write_findings(folder, report, summary)
@@ -111,10 +120,15 @@ def make_volumes(scan: Scan, trajectory: Trajectory, settings: VolumeSettings) -
     """Return the volumes, having said on standard error how large they will be."""
     settings = replace(settings, grid=settings.grid or sweep_grid(scan, trajectory, settings))
     assert settings.grid is not None
-    count = 1 + len(scan.companions)
+    for name, reason in left_out(scan).items():
+        print(f"no volume of companion '{printable(name)}': {reason}", file=sys.stderr)
+    stacks = [scan.frames, *(one.frames for one in image_companions(scan).values())]
     size = " x ".join(str(n) for n in settings.grid.size)
-    needed = describe_bytes(count * estimate_bytes(settings.grid, scan.frames.dtype.itemsize))
-    print(f"compounding into {count} volume(s) of {size} voxels, {needed}", file=sys.stderr)
+    needed = sum(estimate_bytes(settings.grid, stack.dtype.itemsize) for stack in stacks)
+    print(
+        f"compounding into {len(stacks)} volume(s) of {size} voxels, {describe_bytes(needed)}",
+        file=sys.stderr,
+    )
     if must_compile(engine(settings)):
         print("compiling the kernels, once on this machine", file=sys.stderr)
     with progress("compounding") as show:
@@ -204,6 +218,18 @@ def write_results(
         names.append(name)
     if volume_format != "dicom":  # 3D Slicer imports those through its DICOM module
         names.append(write_slicer_script(folder).name)
+    return tuple(names)
+
+
+def write_vessels(
+    folder: Path, trajectory: Trajectory, volumes: Mapping[str, Volume]
+) -> tuple[str, ...]:
+    """Write a picture of each volume of vessels over the B-mode, and return their names."""
+    names = []
+    for modality, volume in volumes.items():
+        if modality.startswith(VESSELS):
+            names.append(f"vessels_{modality}.png")
+            write_vessel_picture(folder / names[-1], volume, volumes[B_MODE], trajectory, modality)
     return tuple(names)
 
 

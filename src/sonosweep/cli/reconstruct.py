@@ -7,6 +7,7 @@ from cyclopts import Parameter
 
 from sonosweep.cli.inputs import OUTPUT, Force, InputOptions, Json
 from sonosweep.cli.motion import MotionOptions
+from sonosweep.cli.photoacoustic_options import PhotoacousticOptions
 from sonosweep.cli.volume_options import VolumeOptions
 
 
@@ -17,6 +18,7 @@ def reconstruct(
     output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)],
     motion: MotionOptions | None = None,
     volume: VolumeOptions | None = None,
+    photoacoustic: PhotoacousticOptions | None = None,
     inputs: InputOptions | None = None,
     world: Annotated[Literal["ras", "lps"] | None, Parameter(group=OUTPUT)] = None,
     volume_format: Annotated[
@@ -27,9 +29,10 @@ def reconstruct(
 ) -> None:
     """Turn sweeps into trajectories, volumes and a report.
 
-    Writes volume.nrrd (and one per companion), coverage.nrrd, trajectory.csv,
-    trajectory.mrk.json, report.html, summary.json and open_in_slicer.py. With several
-    scans, each gets a folder of its own.
+    Writes volume.nrrd, coverage.nrrd, trajectory.csv, trajectory.mrk.json, report.html,
+    summary.json and open_in_slicer.py, for each companion volume_NAME.nrrd, and for power
+    Doppler and photoacoustics vessels_NAME.png. With several scans, each gets a folder of
+    its own.
 
     Args:
         scans: Files or folders of sweeps.
@@ -45,6 +48,7 @@ def reconstruct(
     job = Job(
         motion=motion or MotionOptions(),
         volume=volume or VolumeOptions(),
+        photoacoustic=photoacoustic or PhotoacousticOptions(),
         inputs=inputs or InputOptions(),
         world=world,
         volume_format=volume_format,

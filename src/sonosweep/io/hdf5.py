@@ -12,7 +12,8 @@
                          ``image_to_probe`` (4, 4) if known
 ``region/``              attribute ``rectangle_px`` (column, row, width, height); data set
                          ``mask`` bool (rows, columns) if it is not the whole rectangle
-``companions/NAME/``     ``frames`` as above; attributes ``spacing_mm``, ``origin_mm``
+``companions/NAME/``     ``frames`` as above, or with two channels: real and imaginary part;
+                         attributes ``spacing_mm``, ``origin_mm``
 ``notes``                JSON text: what the reader of the original file found, by subject
 ======================== ==================================================================
 
@@ -228,7 +229,7 @@ def _read_region(file: h5py.File, shape: tuple[int, ...]) -> Region | None:
 def _read_companions(file: h5py.File) -> dict[str, Companion]:
     return {
         str(name): Companion(
-            frames=frames_from_dataset(get_dataset(group, "frames")),
+            frames=frames_from_dataset(get_dataset(group, "frames"), channels=(2, 3, 4)),  # 2: IQ
             spacing_mm=_pair(group, "spacing_mm"),
             origin_mm=_pair(group, "origin_mm"),
         )

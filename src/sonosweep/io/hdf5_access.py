@@ -196,12 +196,17 @@ class HDF5Frames(LazyFrames):
         return self._open[1]
 
 
-def frames_from_dataset(dataset: h5py.Dataset, axes: tuple[int, ...] | None = None) -> HDF5Frames:
+def frames_from_dataset(
+    dataset: h5py.Dataset,
+    axes: tuple[int, ...] | None = None,
+    channels: tuple[int, ...] = (3, 4),
+) -> HDF5Frames:
     """Return the frames of a data set without reading them.
 
     Args:
         dataset: Its first axis counts frames.
         axes: As in :class:`HDF5Frames`. A single channel is dropped.
+        channels: How many are allowed besides one.
 
     Raises:
         FormatError: If it has no frames, too large ones, or no numbers.
@@ -221,17 +226,20 @@ def frames_from_dataset(dataset: h5py.Dataset, axes: tuple[int, ...] | None = No
     size = tuple(stored[axis] for axis in axes) if axes is not None else stored
     if len(size) == 3 and size[2] == 1:
         size = size[:2]
-    _check_sizes(what, dataset, size)
+    _check_sizes(what, dataset, size, channels)
     dtype = dataset.dtype.newbyteorder("=")
     return HDF5Frames(path.resolve(), dataset.name, (dataset.shape[0], *size), dtype, axes)
 
 
-def _check_sizes(what: str, dataset: h5py.Dataset, size: tuple[int, ...]) -> None:
+def _check_sizes(
+    what: str, dataset: h5py.Dataset, size: tuple[int, ...], channels: tuple[int, ...]
+) -> None:
     item = dataset.dtype.itemsize
     if dataset.shape[0] < 1 or min(size) < 1:
         raise FormatError(f"{what} holds no pixels: its shape is {dataset.shape}")
-    if len(size) == 3 and size[2] not in (3, 4):
-        raise FormatError(f"{what} must have 1, 3 or 4 channels, but its shape is {dataset.shape}")
+    if len(size) == 3 and size[2] not in channels:
+        allowed = f"{', '.join(str(n) for n in (1, *channels[:-1]))} or {channels[-1]}"
+        raise FormatError(f"{what} must have {allowed} channels, but its shape is {dataset.shape}")
     if dataset.shape[0] > LARGEST_FRAME_COUNT or np.prod(size, dtype=float) * item > (
         LARGEST_FRAME_BYTES
     ):

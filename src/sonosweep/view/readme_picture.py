@@ -3,17 +3,18 @@
 import os
 
 import numpy as np
-from PIL import Image, ImageChops, ImageDraw, ImageFont
+from PIL import Image, ImageChops, ImageDraw
 
 from sonosweep.geometry import invert_pose
 from sonosweep.io.atomic import write_beside
 from sonosweep.scan import Frames, Trajectory, Volume
 from sonosweep.view.camera import project, view_rotation
 from sonosweep.view.figures import frame_outlines
+from sonosweep.view.panels import FAINT, PAPER, draw_scale_bar, draw_words, panel_with
 from sonosweep.view.projections import orthogonal_cuts
 from sonosweep.view.render import render_volume
 from sonosweep.view.resample import finite
-from sonosweep.view.svg import nice_length_mm, number_label
+from sonosweep.view.svg import number_label
 
 SIZE = (1600, 700)
 PANEL = (590, 580)
@@ -23,7 +24,6 @@ LEFTS = (24, 716, 1330)  # of the sweep, the volume and its cuts
 FINE = 2  # lines are drawn larger and thinned, which smooths them
 STACKED = 8  # frames; more hide each other
 VOXELS = 20_000_000
-PAPER, WORDS, FAINT = (11, 15, 20), (228, 234, 240), (150, 168, 184)
 OUTLINE, PATH = (86, 180, 233), (240, 144, 61)
 BRIGHTER = 1.4  # frames are dark beside a rendering that gathers light over depth
 
@@ -51,14 +51,14 @@ def write_overview_picture(
     picture.paste(_sweep_panel(frames, spacing_mm, trajectory), (LEFTS[0], TOP))
     picture.paste(_volume_panel(volume, trajectory), (LEFTS[1], TOP))
     for k, cut in enumerate(orthogonal_cuts(volume, max_pixels=max(CUT))):
-        picture.paste(_inside(cut.pixels, CUT), (LEFTS[2], TOP + k * (CUT[1] + 11)))
+        picture.paste(panel_with(cut.pixels, CUT)[0], (LEFTS[2], TOP + k * (CUT[1] + 11)))
     draw = ImageDraw.Draw(picture)
     _arrow(draw, LEFTS[0] + PANEL[0] + 22, TOP + PANEL[1] // 2, 56)
     count = len(trajectory.image_to_reference)
     spacing = " x ".join(dict.fromkeys(number_label(round(s, 3)) for s in volume.grid.spacing_mm))
     size = " x ".join(str(n) for n in volume.grid.size)
-    _words(draw, (LEFTS[0] + 4, 32), f"A sweep of {count} frames along their trajectory")
-    _words(draw, (LEFTS[1] + 4, 32), f"A volume of {size} voxels of {spacing} mm, and its cuts")
+    draw_words(draw, (LEFTS[0] + 4, 32), f"A sweep of {count} frames along their trajectory")
+    draw_words(draw, (LEFTS[1] + 4, 32), f"A volume of {size} voxels of {spacing} mm, and its cuts")
     with write_beside(path) as temporary:
         picture.save(temporary, "PNG", optimize=True)
 
@@ -84,7 +84,7 @@ def _sweep_panel(
     (x, y), r = path[0], 7 * FINE
     draw.ellipse((x - r, y - r, x + r, y + r), fill=PAPER, outline=PATH, width=4 * FINE)
     panel = panel.reduce(FINE)
-    _scale_bar(panel, units_per_mm / FINE)
+    draw_scale_bar(panel, units_per_mm / FINE)
     return panel
 
 
@@ -126,29 +126,9 @@ def _volume_panel(volume: Volume, trajectory: Trajectory) -> Image.Image:
     rows, columns = np.nonzero(shown > 8)
     if len(rows):
         shown = shown[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    panel = _inside(shown, PANEL, margin=24)
-    scale = min((PANEL[0] - 48) / shown.shape[1], (PANEL[1] - 48) / shown.shape[0])
-    _scale_bar(panel, scale / mm_per_pixel)
+    panel, scale, _ = panel_with(shown, PANEL, margin=24)
+    draw_scale_bar(panel, scale / mm_per_pixel)
     return panel
-
-
-def _inside(pixels: np.ndarray, size: tuple[int, int], margin: int = 4) -> Image.Image:
-    """Return gray pixels as large as they fit into the middle of a black panel."""
-    rows, columns = pixels.shape[:2]
-    scale = min((size[0] - 2 * margin) / columns, (size[1] - 2 * margin) / rows)
-    fitted = (max(1, round(columns * scale)), max(1, round(rows * scale)))
-    panel = Image.new("RGB", size)
-    image = Image.fromarray(pixels).resize(fitted, Image.Resampling.BICUBIC)
-    place = ((size[0] - fitted[0]) // 2, (size[1] - fitted[1]) // 2)
-    panel.paste(image.convert("RGB"), place)
-    return panel
-
-
-def _scale_bar(panel: Image.Image, units_per_mm: float) -> None:
-    length_mm = nice_length_mm(PANEL[0] / units_per_mm)
-    draw, bottom = ImageDraw.Draw(panel), PANEL[1] - 16
-    draw.rectangle((16, bottom, 15 + round(length_mm * units_per_mm), bottom + 3), fill=WORDS)
-    _words(draw, (16, bottom - 26), f"{number_label(length_mm)} mm", 17)
 
 
 def _arrow(draw: ImageDraw.ImageDraw, left: int, middle: int, length: int) -> None:
@@ -156,7 +136,3 @@ def _arrow(draw: ImageDraw.ImageDraw, left: int, middle: int, length: int) -> No
     draw.line((left, middle, right - head, middle), fill=FAINT, width=8)
     tip = [(right, middle), (right - head, middle - head), (right - head, middle + head)]
     draw.polygon(tip, fill=FAINT)
-
-
-def _words(draw: ImageDraw.ImageDraw, at: tuple[int, int], words: str, size: int = 24) -> None:
-    draw.text(at, words, fill=WORDS, font=ImageFont.load_default(size))
