@@ -19,7 +19,7 @@ def gaussian_point(place_mm, sigma_mm, spacing_mm=(0.1, 0.05), shape=(80, 60)):
 
 @pytest.mark.parametrize("shift", [0.0, 0.021, 0.05])
 def test_a_point_between_pixels(shift):
-    """Place within 2 um (2 % of a pixel) and width within 1 %, wherever the point lies between pixels."""
+    """Place within 2 % of a pixel and width within 1 %, wherever the point lies between them."""
     place, sigma = (3.0 + shift, 2.0 + shift / 2), (0.15, 0.08)
     amplitude = gaussian_point(place, sigma)
 
@@ -73,6 +73,14 @@ def test_speckle_of_many_scatterers():
     assert ratio == pytest.approx(np.sqrt(np.pi / (4 - np.pi)), rel=0.01)
 
 
+def test_a_blurred_image_is_less_sharp():
+    """The same energy on more pixels varies less about its mean, whatever the gain."""
+    sharp, blurred = gaussian_point((3, 2), (0.1, 0.1)), gaussian_point((3, 2), (0.2, 0.2))
+
+    assert image.normalized_variance(sharp) > 2 * image.normalized_variance(blurred)
+    assert image.normalized_variance(7 * sharp) == pytest.approx(image.normalized_variance(sharp))
+
+
 @pytest.mark.parametrize(
     ("measure", "sentence"),
     [
@@ -83,6 +91,7 @@ def test_speckle_of_many_scatterers():
         (lambda a, r: image.contrast_db(0 * a, r, r), "without any echo"),
         (lambda a, r: image.contrast_to_noise(a, r, r), "nothing varies"),
         (lambda a, r: image.speckle_snr(a, r), "nothing varies"),
+        (lambda a, r: image.normalized_variance(0 * a), "black image"),
     ],
 )
 def test_what_has_no_measure(measure, sentence):

@@ -156,6 +156,26 @@ def speckle_snr(
     return float(values.mean() / values.std())
 
 
+def normalized_variance(amplitude: Float[np.ndarray, "rows columns"]) -> float:
+    """Return how sharp an image is: variance of its amplitude over its mean squared.
+
+    Energy that is out of focus is spread over more pixels, so that of several sound speeds
+    the right one gives the largest value.
+
+    Raises:
+        ScanError: If the image is black.
+
+    References:
+        Treeby, Varslot, Zhang, Laufer, Beard, "Automatic sound speed selection in
+        photoacoustic image reconstruction using an autofocus approach", J. Biomed. Opt.
+        2011, section 2, which compares measures of sharpness.
+    """
+    mean = float(np.mean(amplitude, dtype=np.float64))
+    if not mean > 0:
+        raise ScanError("a black image has no sharpness")
+    return float(np.var(amplitude, dtype=np.float64)) / mean**2
+
+
 def _along(
     spline: Float[np.ndarray, "rows columns"], places: Float[np.ndarray, "axes=2 places"]
 ) -> Float[np.ndarray, " places"]:
