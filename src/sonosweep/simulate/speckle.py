@@ -7,10 +7,13 @@ the width of the slice changes with depth but the correlation of the speckle doe
 falls to exp(-d^2 / w0^2) after an elevational displacement d.
 """
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+import torch
 from jaxtyping import Complex64, Float, Inexact
+from torch import Tensor
 
 from sonosweep.errors import ScanError
 from sonosweep.imaging import PixelGrid, SectorGrid
@@ -27,6 +30,7 @@ from sonosweep.simulate.splat_kernels import (
     splat_points,
     spread_points,
 )
+from sonosweep.simulate.splat_torch import TorchSplat
 from sonosweep.simulate.tissue_motion import body_to_plane, pushes
 
 
@@ -80,16 +84,20 @@ class SpeckleRenderer:
         device: str = "cpu",
     ) -> None:
         medium = Medium(seed, density_per_mm3)
+        self._sets, self._word = medium.sets, medium.word
         self._spread = point_spread(grid, beam)
         self._fine = fine_grid(self._spread, beam)
         self._slab = slab_of(beam, self._spread)
         self._table = cell_table(body)
-        self._sets, self._word = medium.sets, medium.word
         amplitude = echo_amplitude() / np.float32(np.sqrt(density_per_mm3))
         codes = np.ascontiguousarray(body.echogenicity)
         self._voxels = Voxels(codes, body.origin_mm, float(body.spacing_mm), amplitude)
-        self._grid = np.zeros((*self._spread.shape, 2), np.float32)
         self._room = CellRoom()
+        self._torch: TorchSplat | None = None
+        if engine == "torch":
+            self._torch = TorchSplat(self._sets, self._voxels, self._spread, self._fine, device)
+        else:
+            self._grid = np.zeros((*self._spread.shape, 2), np.float32)
 
     def iq(
         self, plane_to_body: Float[np.ndarray, "4 4"], deformation: Deformation = STILL
@@ -104,12 +112,36 @@ class SpeckleRenderer:
         Raises:
             ScanError: If the pose is not a rotation and a shift.
         """
-        affine = body_to_plane(plane_to_body, deformation)
-        arteries = pushes(deformation)
+        if self._torch is not None:
+            return self.iq_tensor(plane_to_body[None], [deformation])[0].numpy(force=True)
+        affine, arteries = body_to_plane(plane_to_body, deformation), pushes(deformation)
         seen = self._cells(affine, arteries)
-        self._grid[:] = 0
+        self._grid.fill(0)
         splat_cells(*seen, *self._sets, affine, arteries, self._fine, self._voxels, self._grid)
         return _spread(self._grid, self._spread, self._spread.row_gain)
+
+    def iq_tensor(
+        self,
+        planes_to_body: Float[np.ndarray, "frames 4 4"],
+        deformations: Sequence[Deformation] | None = None,
+    ) -> Complex64[Tensor, "frames rows columns"]:
+        """Return the baseband echoes of frames, on the device on which they are rendered.
+
+        Args:
+            planes_to_body: As for :meth:`iq`.
+            deformations: One for each frame; none if left out.
+
+        Raises:
+            ScanError: If a pose is not a rotation and a shift.
+        """
+        deformations = deformations or [STILL] * len(planes_to_body)
+        pairs = list(zip(planes_to_body, deformations, strict=True))
+        if self._torch is None:
+            return torch.from_numpy(np.stack([self.iq(*pair) for pair in pairs]))
+        affines = [body_to_plane(*pair) for pair in pairs]
+        arteries = [pushes(deformation) for deformation in deformations]
+        seen = map(self._cells, affines, arteries)
+        return self._torch.frames(seen, affines, arteries)
 
     def _cells(self, affine: np.ndarray, arteries: np.ndarray) -> SeenCells:
         reach = float(np.abs(arteries[:, 3]).sum())

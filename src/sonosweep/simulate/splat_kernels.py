@@ -66,8 +66,10 @@ class Voxels(NamedTuple):
 # One array holds a block's scratch: the compiler then sees that its parts are apart.
 _X, _Y, _Z, _U, _V, _RE, _IM = (BLOCK * part for part in range(7))
 _F_LANES = 7 * BLOCK
-_I_LANES = 3 * BLOCK
+_VOXEL, _PIXEL = 0, BLOCK
+_I_LANES = 2 * BLOCK
 
+_1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 # Polynomials through Chebyshev nodes; their errors are below single precision.
 _SIN_PI = tuple(
@@ -115,47 +117,79 @@ def splat_cells(place, gain, offsets, first, affine, arteries, fine, voxels, gri
         voxels: The body.
         grid: Fine grid, ``(rows, columns, 2)``, real and imaginary part; added to.
     """
-    lanes, corners = np.empty(_F_LANES, np.float32), np.empty(_I_LANES, np.int32)
+    lanes, places = np.empty(_F_LANES, np.float32), np.empty(_I_LANES, np.int32)
     picked = np.empty(BLOCK, np.int32)
-    middle, center, signs = np.empty(3), np.empty(3), np.empty(3)
+    flat = grid.reshape(grid.size)
+    center, corner = np.empty(3), np.empty(3, np.int64)
     turn, voxel = np.empty((3, 3), np.float32), np.empty((3, 2), np.float32)
-    corner = np.empty(3, np.int64)
+    shape = voxels.codes.shape
+    strides = np.array([1, shape[2], shape[2] * shape[1]])
     for c in range(gain.shape[0]):
-        for axis in range(3):
-            middle[axis] = (place[c, axis] + 0.5) * CELL_MM
-            signs[axis] = -1.0 if (place[c, 4] >> axis) & 1 else 1.0
-        for axis in range(3):
-            center[axis] = affine[axis, 3]
-            for b in range(3):
-                center[axis] += affine[axis, b] * middle[b]
-                turn[axis, b] = affine[axis, b] * signs[b]
-        for axis in range(3):
-            at = (middle[axis] - voxels.origin_mm[axis]) / voxels.spacing_mm + 0.5
-            corner[axis] = np.int64(math.floor(at - 0.5 * CELL_MM / voxels.spacing_mm)) - 1
-            voxel[axis, 0] = at - corner[axis]
-            voxel[axis, 1] = signs[axis] / voxels.spacing_mm
+        at_edge = _cell_frame(place[c], affine, voxels, center, turn, voxel, corner)
+        first_voxel = (corner * strides).sum()
         begin, end = first[place[c, 3]], first[place[c, 3]] + place[c, 5]
         for start in range(begin, end, BLOCK):
-            _place(offsets, start, turn, voxel, lanes, corners)
+            _place(offsets, start, turn, voxel, strides, lanes, places)
+            if at_edge:
+                _mark_outside(offsets, start, voxel, corner, shape, places)
             if arteries.shape[0] > 0:
                 _push_block(lanes, center, arteries)
             if fine.radius_mm > 0:
                 depth = _across_sector(lanes, center, fine)
             else:
                 depth = _across_array(lanes, center, fine)
-            _weigh(lanes, depth, center[2], gain[c], start - begin, fine, grid.shape)
-            count = min(end - start, BLOCK)
-            kept = 0
-            for m in range(count):
-                picked[kept] = m
-                kept += lanes[_U + m] >= _ZERO
-            _deposit(lanes, corners, picked, kept, corner, voxels, grid)
+            _weigh(lanes, places, depth, center[2], gain[c], start - begin, fine, grid.shape)
+            kept = _pick(lanes, places, min(end - start, BLOCK), picked)
+            _deposit(lanes, places, picked, kept, first_voxel, voxels, flat, 2 * grid.shape[1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _place(offsets, start, turn, voxel, lanes, corners):
+def _cell_frame(place, affine, voxels, center, turn, voxel, corner):
+    """Fill in where a cell is in the plane and in the voxels; says if it may reach outside.
+
+    Args:
+        place: Of the cell; see :class:`~sonosweep.simulate.slab.SeenCells`.
+        affine: Body to plane coordinates.
+        voxels: The body.
+        center: Filled with its middle in plane coordinates.
+        turn: Filled with the matrix of offsets from there.
+        voxel: Filled with the middle in voxels from the corner, plus 1/2, and the scale.
+        corner: Filled with a voxel below all that its scatterers are in.
+    """
+    center[:] = affine[:3, 3]
+    at_edge = False
+    half = 0.5 * CELL_MM / voxels.spacing_mm
+    for axis in range(3):
+        middle = (place[axis] + 0.5) * CELL_MM
+        sign = -1.0 if (place[4] >> axis) & 1 else 1.0
+        for row in range(3):
+            center[row] += affine[row, axis] * middle
+            turn[row, axis] = affine[row, axis] * sign
+        at = (middle - voxels.origin_mm[axis]) / voxels.spacing_mm + 0.5
+        corner[axis] = np.int64(math.floor(at - half)) - 1
+        voxel[axis, 0], voxel[axis, 1] = at - corner[axis], sign / voxels.spacing_mm
+        last = np.int64(math.ceil(at + half)) + 1
+        at_edge |= corner[axis] < 0 or last >= voxels.codes.shape[2 - axis]
+    return at_edge
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _pick(lanes, places, count, picked):
+    """List the scatterers of a block that count."""
+    kept = 0
+    for m in range(count):
+        picked[kept] = m
+        kept += (lanes[_U + m] >= _ZERO) & (places[_VOXEL + m] >= 0)
+    return kept
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _place(offsets, start, turn, voxel, strides, lanes, places):
     """Offsets from the cell's middle in plane coordinates, and voxels from its corner."""
+    along_y, along_z = np.int32(strides[1]), np.int32(strides[2])
     x, y, z = offsets[0], offsets[1], offsets[2]
     t00, t01, t02 = turn[0, 0], turn[0, 1], turn[0, 2]
     t10, t11, t12 = turn[1, 0], turn[1, 1], turn[1, 2]
@@ -167,9 +201,19 @@ def _place(offsets, start, turn, voxel, lanes, corners):
         lanes[_X + m] = t00 * a + t01 * b + t02 * c
         lanes[_Y + m] = t10 * a + t11 * b + t12 * c
         lanes[_Z + m] = t20 * a + t21 * b + t22 * c
-        corners[m] = np.int32(bx + sx * a)
-        corners[BLOCK + m] = np.int32(by + sy * b)
-        corners[2 * BLOCK + m] = np.int32(bz + sz * c)
+        i, j, k = np.int32(bx + sx * a), np.int32(by + sy * b), np.int32(bz + sz * c)
+        places[_VOXEL + m] = i + j * along_y + k * along_z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _mark_outside(offsets, start, voxel, corner, shape, places):
+    """Mark scatterers outside the voxels by a voxel of -1, as :func:`_place` rounds."""
+    for m in range(BLOCK):
+        for axis in range(3):
+            here = np.int32(voxel[axis, 0] + voxel[axis, 1] * offsets[axis, start + m])
+            if not 0 <= corner[axis] + here < shape[2 - axis]:
+                places[_VOXEL + m] = -1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -218,8 +262,11 @@ def _across_sector(lanes, center, fine):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _weigh(lanes, depth, height, gain, rank, fine, shape):
-    """Fill in the axial fine pixel and the echo; a lateral pixel of -1 does not count."""
+def _weigh(lanes, places, depth, height, gain, rank, fine, shape):
+    """Fill in the fine pixel, the fractions beside and below it, and the echo.
+
+    A fraction of -1 beside it marks a scatterer that does not count.
+    """
     first = np.float32((depth - fine.origin[1]) * fine.per_step[1])
     per_mm = np.float32(fine.per_step[1])
     # Beyond the face nothing is heard.
@@ -229,7 +276,7 @@ def _weigh(lanes, depth, height, gain, rank, fine, shape):
     turns = depth * fine.turns_per_mm
     first_turn = np.float32(turns - math.floor(turns))
     per_turn, curve = np.float32(fine.turns_per_mm), np.float32(fine.curve_turns)
-    columns, rows = np.float32(shape[1] - 1), np.float32(shape[0] - 1)
+    columns, rows, width = np.float32(shape[1] - 1), np.float32(shape[0] - 1), np.int32(shape[1])
     limit, eighth = np.float32(REACH_EXPONENT), np.float32(0.125)
     most, slope = gain[0], gain[2]
     top = gain[1] - slope * np.float32(rank)
@@ -259,48 +306,53 @@ def _weigh(lanes, depth, height, gain, rank, fine, shape):
         q = h * h
         sine = h * ((((s4 * q + s3) * q + s2) * q + s1) * q + s0)
         cosine = ((((c5 * q + c4) * q + c3) * q + c2) * q + c1) * q + c0
-        lanes[_U + m] = u if out < _ZERO else -_ONE
-        lanes[_V + m] = v
+        column, row = np.int32(min(max(u, _ZERO), columns)), np.int32(min(max(v, _ZERO), rows))
+        places[_PIXEL + m] = np.int32(2) * (row * width + column)
+        lanes[_U + m] = u - np.float32(column) if out < _ZERO else -_ONE
+        lanes[_V + m] = v - np.float32(row)
         lanes[_RE + m] = w * (_ONE - _TWO * sine * sine)
         lanes[_IM + m] = -_TWO * w * sine * cosine
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _deposit(lanes, corners, picked, kept, corner, voxels, grid):
-    depth, height, width = voxels.codes.shape
+def _deposit(lanes, places, picked, kept, first_voxel, voxels, flat, width):
+    """Read the tissue of the scatterers that count and add their echoes to the grid."""
+    codes = voxels.codes.reshape(voxels.codes.size)
     for n in range(kept):
-        m = picked[n]
-        x = corner[0] + corners[m]
-        y = corner[1] + corners[BLOCK + m]
-        z = corner[2] + corners[2 * BLOCK + m]
-        if x < 0 or x >= width or y < 0 or y >= height or z < 0 or z >= depth:
-            continue
-        code = voxels.codes[z, y, x]
+        m = np.uint64(picked[n])
+        code = codes[np.uint64(first_voxel + places[_VOXEL + m])]
         if code == 0:
             continue
         amplitude = voxels.amplitude[code]
-        add_point(
-            grid,
-            lanes[_U + m],
-            lanes[_V + m],
-            lanes[_RE + m] * amplitude,
-            lanes[_IM + m] * amplitude,
-        )
+        real, imaginary = lanes[_RE + m] * amplitude, lanes[_IM + m] * amplitude
+        add_echo(flat, width, places[_PIXEL + m], lanes[_U + m], lanes[_V + m], real, imaginary)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 @no_type_check
-def add_point(grid, u, v, real, imaginary):
-    """Share an echo between the four fine pixels around column u and row v."""
-    column, row = np.int32(u), np.int32(v)
-    right, down = u - np.float32(column), v - np.float32(row)
-    for share, line in ((_ONE - down, grid[row]), (down, grid[row + 1])):
-        re, im = real * share, imaginary * share
-        line[column, 0] += re - re * right
-        line[column, 1] += im - im * right
-        line[column + 1, 0] += re * right
-        line[column + 1, 1] += im * right
+def add_echo(flat, width, at, right, down, real, imaginary):
+    """Share an echo between four fine pixels.
+
+    Args:
+        flat: The fine grid, ``(rows * columns * 2)``.
+        width: Numbers per row of it.
+        at: Of the pixel above and left of the echo.
+        right: How far the echo is from there, in columns.
+        down: As well, in rows.
+        real: The echo.
+        imaginary: As well.
+    """
+    a, b = np.uint64(at), np.uint64(at + width)
+    re, im = real * right, imaginary * right
+    real, imaginary = real - re, imaginary - im
+    up = _ONE - down
+    left_re, left_im = flat[a] + real * up, flat[a + _1] + imaginary * up
+    right_re, right_im = flat[a + _2] + re * up, flat[a + _3] + im * up
+    flat[a], flat[a + _1], flat[a + _2], flat[a + _3] = left_re, left_im, right_re, right_im
+    left_re, left_im = flat[b] + real * down, flat[b + _1] + imaginary * down
+    right_re, right_im = flat[b + _2] + re * down, flat[b + _3] + im * down
+    flat[b], flat[b + _1], flat[b + _2], flat[b + _3] = left_re, left_im, right_re, right_im
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -338,6 +390,7 @@ def spread_points(grid, axial, lateral, decimation, gain, lines, frame):
 @no_type_check
 def splat_points(points, amplitudes, fine, grid):
     """Add the echoes of points in plane coordinates to the fine grid, in double precision."""
+    flat = grid.reshape(grid.size)
     for p in range(points.shape[0]):
         x, y, z = points[p]
         if fine.radius_mm > 0:
@@ -356,4 +409,6 @@ def splat_points(points, amplitudes, fine, grid):
         weight = math.exp(-z * z * inverse * fine.slice_exponent)
         angle = 2 * math.pi * (turns - math.floor(turns))
         echo = amplitudes[p] * weight * complex(math.cos(angle), -math.sin(angle))
-        add_point(grid, np.float32(u), np.float32(v), np.float32(echo.real), np.float32(echo.imag))
+        at, width = 2 * (int(v) * grid.shape[1] + int(u)), 2 * grid.shape[1]
+        right, down = np.float32(u - int(u)), np.float32(v - int(v))
+        add_echo(flat, width, at, right, down, np.float32(echo.real), np.float32(echo.imag))
