@@ -1,22 +1,38 @@
-"""Forearms: a different one for each subject, continuous over 250 mm."""
+"""Forearms: a different one for each subject, continuous over 250 mm.
+
+An arm is drawn in arm coordinates (see :mod:`sonosweep.simulate.forearm_shape`) and then put
+into the body's, as a left or a right one, with z toward the elbow or toward the wrist.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool, Float, UInt8
 
 from sonosweep.errors import ScanError
-from sonosweep.simulate.anatomy_texture import sheet_table
-from sonosweep.simulate.body import Body
-from sonosweep.simulate.forearm_kernels import FIELDS, fill_forearm
+from sonosweep.simulate.body import Body, Tissue, Vessel
+from sonosweep.simulate.forearm_fields import (
+    CELLS_MM,
+    COARSE_MM,
+    coarse_fields,
+    draw_tables,
+    draw_tones,
+)
+from sonosweep.simulate.forearm_kernels import fill_forearm
 from sonosweep.simulate.forearm_muscles import muscle_table
-from sonosweep.simulate.forearm_shape import ARM_LENGTH_MM, draw_shape
+from sonosweep.simulate.forearm_nerves import draw_nerves
+from sonosweep.simulate.forearm_shape import ARM_LENGTH_MM, ArmShape, draw_shape
+from sonosweep.simulate.forearm_vessels import draw_vessels
 from sonosweep.simulate.seeds import generator, subject_name
-from sonosweep.simulate.smooth_noise import draw_noise
-from sonosweep.simulate.voxels import first_voxel, voxel_counts
+from sonosweep.simulate.tube_kernels import paint_nerve
+from sonosweep.simulate.tubes import code_of, labels_except, paint_vessels
+from sonosweep.simulate.voxels import Point, first_voxel, voxel_counts
 
 ABOVE_SKIN_MM = 4.0  # of gel above the crest of the skin
 LARGEST_LENGTH_MM = 280.0
-COARSE_MM = (1.0, 1.0, 5.0)  # grid of smooth fields along x, y and z
-MUSCLE_CELL_MM = (4.0, 0.125, 0.75)  # cells of the tables of sheets along z, y, x
-FAT_CELL_MM = (6.0, 0.125, 1.5)
+BUNDLE_DB, NERVE_DB = -11.0, -1.0
+
+Codes = UInt8[np.ndarray, "z y x"]
 
 
 def forearm(
@@ -32,145 +48,158 @@ def forearm(
     The middle of the arm is at x = 0 and z = 0, and the skin there at y = 0, with 4 mm of
     gel above. Subjects differ in size, fat, the places of muscles, bones and vessels, in
     echogenicity, in left and right, and in whether z runs to the elbow or to the wrist.
-    A subject's anatomy is the same on every grid.
+    A subject's anatomy is the same on every grid, but for what is thinner than a voxel.
 
     Args:
         subject: Number of the subject.
         spacing_mm: Size of a voxel.
         width_mm: Extent along x, across the arm.
-        depth_mm: Extent along y; the far skin is 50 to 70 mm down.
+        depth_mm: Extent along y, from 4 mm above the skin; the far skin is 40 to 65 mm down.
         length_mm: Extent along z, at most 280 mm.
 
     Raises:
-        ScanError: If there is no such subject or no such grid.
+        ScanError: If there is no such subject, or such a body cannot be.
     """
     name = subject_name(subject)
     if length_mm > LARGEST_LENGTH_MM:
         raise ScanError(f"a forearm is at most {LARGEST_LENGTH_MM:g} mm long, got {length_mm:g}")
     counts = voxel_counts("forearm", (width_mm, depth_mm, length_mm), spacing_mm)
-    origin = first_voxel(counts, spacing_mm, -ABOVE_SKIN_MM)
-    shape_zyx = counts[::-1]
-    frame = _Frame(subject, origin, spacing_mm, shape_zyx)
-    tissue, echo = np.empty(shape_zyx, np.uint8), np.empty(shape_zyx, np.uint8)
-    frame.fill(tissue, echo)
+    arm = _draw_arm(subject, counts, spacing_mm)
+    tissue, echogenicity = np.empty(counts[::-1], np.uint8), np.empty(counts[::-1], np.uint8)
+    _fill(arm, tissue, echogenicity)
+    inner_vessels = draw_vessels(generator(subject, 0, "anatomy vessels"), arm.shape)
+    _paint_nerves(arm, tissue, echogenicity, inner_vessels)
+    vessels = tuple(piece for vessel in inner_vessels for piece in _in_body(arm, vessel))
+    paint_vessels(tissue, echogenicity, arm.origin_mm, spacing_mm, vessels)
+    skin = arm.shape.skin_y(arm.across_mm, arm.along_mm[:, None])
     return Body(
         name="forearm",
         subject=name,
         tissue=tissue,
-        echogenicity=echo,
+        echogenicity=echogenicity,
         spacing_mm=spacing_mm,
-        origin_mm=origin,
-        skin_depth_mm=frame.skin(),
+        origin_mm=arm.origin_mm,
+        skin_depth_mm=skin.astype(np.float32),
+        vessels=vessels,
     )
 
 
-class _Frame:
-    def __init__(self, subject, origin, spacing, shape):
-        self.subject, self.origin, self.spacing, self.shape_zyx = subject, origin, spacing, shape
-        sides = generator(subject, 0, "anatomy sides")
-        self.mirror, self.direction = (float(s) for s in sides.choice((-1.0, 1.0), 2))
-        self.arm = draw_shape(generator(subject, 0, "anatomy shape"))
+@dataclass(frozen=True, eq=False)
+class _Arm:
+    """An arm and how it lies in the body's voxels.
 
-    def axes(self):
-        return [o + self.spacing * np.arange(n) for o, n in zip(self.origin, self.shape_zyx[::-1])]
+    Attributes:
+        subject: Whose.
+        shape: Its form.
+        mirror: x per ``across``: +1 or -1.
+        direction: ``along`` per z: +1 if z runs to the elbow, else -1.
+        origin_mm: Center of voxel (0, 0, 0).
+        spacing_mm: Of voxels.
+        counts: Voxels along x, y and z.
+    """
 
-    def along(self, z):
+    subject: int
+    shape: ArmShape
+    mirror: float
+    direction: float
+    origin_mm: Point
+    spacing_mm: float
+    counts: tuple[int, int, int]
+
+    @property
+    def across_mm(self) -> Float[np.ndarray, " columns"]:
+        """Return where the voxels' columns are across the arm."""
+        x = self.origin_mm[0] + self.spacing_mm * np.arange(self.counts[0])
+        return self.mirror * x
+
+    @property
+    def along_mm(self) -> Float[np.ndarray, " slices"]:
+        """Return where the voxels' slices are along the arm."""
+        z = self.origin_mm[2] + self.spacing_mm * np.arange(self.counts[2])
         return ARM_LENGTH_MM / 2 + self.direction * z
 
-    def skin(self):
-        x, _, z = self.axes()
-        return self.arm.skin_y(self.mirror * x[None], self.along(z)[:, None]).astype(np.float32)
 
-    def fields(self):
-        x, y, z = self.axes()
-        nodes = [
-            a[0] + step * np.arange(int(np.ceil((a[-1] - a[0]) / step)) + 2)
-            for a, step in zip((x, y, z), COARSE_MM)
-        ]
-        start = np.array([n[0] for n in nodes])
-        across = self.mirror * nodes[0]
-        a, yy, xx = self.along(nodes[2])[:, None, None], nodes[1][:, None], across
-        g = generator(self.subject, 0, "anatomy fields")
-        wx = 0.8 * draw_noise(g, 22.0, 7.0, 7.0)(a, yy, xx) + 0.25 * draw_noise(g, 9.0, 3.0, 3.0)(
-            a, yy, xx
-        )
-        wy = 0.7 * draw_noise(g, 22.0, 7.0, 9.0)(a, yy, xx) + 0.2 * draw_noise(g, 9.0, 3.0, 4.0)(
-            a, yy, xx
-        )
-        bright = 1.6 * draw_noise(g, 18.0, 5.0, 6.0)(a, yy, xx)
-        arm = self.arm
-        d = arm.skin_distance(xx, yy, a)
-        out = np.empty((FIELDS, *np.broadcast_shapes(a.shape, yy.shape, xx.shape)), np.float32)
-        out[0] = d
-        out[1] = d - arm.skin_mm - arm.fat_below(xx, a) + 0.25 * wy
-        out[2] = arm.bone_distance(xx + 0.3 * wx, yy + 0.3 * wy, a)
-        out[3] = arm.membrane_distance(xx, yy + 0.5 * wy, a)
-        out[4], out[5], out[6] = self.mirror * wx, wy, bright
-        out[7] = yy - arm.middle_y(a)
-        return out, start
+def _draw_arm(subject: int, counts: tuple[int, int, int], spacing_mm: float) -> _Arm:
+    mirror, direction = generator(subject, 0, "anatomy sides").choice((-1.0, 1.0), 2)
+    shape = draw_shape(generator(subject, 0, "anatomy shape"))
+    origin = first_voxel(counts, spacing_mm, -ABOVE_SKIN_MM)
+    return _Arm(subject, shape, float(mirror), float(direction), origin, spacing_mm, counts)
 
-    def fill(self, tissue, echo):
-        fields, _ = self.fields()
-        g = generator(self.subject, 0, "anatomy texture")
-        tables = np.stack(
-            (
-                sheet_table(
-                    g,
-                    cell_mm=MUSCLE_CELL_MM,
-                    spread_mm=(9.0, 0.32, 1.3),
-                    thickness_mm=0.11,
-                    coverage=0.45,
-                ),
-                sheet_table(
-                    g,
-                    cell_mm=FAT_CELL_MM,
-                    spread_mm=(9.0, 0.4, 4.0),
-                    thickness_mm=0.10,
-                    coverage=0.5,
-                ),
-            )
-        )
-        cells = np.array((MUSCLE_CELL_MM, FAT_CELL_MM))
-        _, _, z = self.axes()
-        muscles = muscle_table(
-            generator(self.subject, 0, "anatomy muscles"),
-            self.arm,
-            self.along(z),
-            self.mirror,
-            self.direction,
-        )
-        fill_forearm(
+
+def _fill(arm: _Arm, tissue: Codes, echogenicity: Codes) -> None:
+    """Fill all but vessels and nerves."""
+    extents = [arm.spacing_mm * (count - 1) for count in arm.counts]
+    x, y, z = (
+        first + step * np.arange(int(np.ceil(extent / step)) + 2)
+        for first, step, extent in zip(arm.origin_mm, COARSE_MM, extents, strict=True)
+    )
+    fields = coarse_fields(
+        generator(arm.subject, 0, "anatomy fields"),
+        arm.shape,
+        arm.mirror * x,
+        y,
+        ARM_LENGTH_MM / 2 + arm.direction * z,
+        arm.mirror,
+    )
+    fill_forearm(
+        tissue,
+        echogenicity,
+        np.array(arm.origin_mm),
+        arm.spacing_mm,
+        fields,
+        np.array(COARSE_MM),
+        muscle_table(
+            generator(arm.subject, 0, "anatomy muscles"), arm.shape, arm.along_mm, arm.mirror
+        ),
+        draw_tables(generator(arm.subject, 0, "anatomy texture")),
+        np.array(CELLS_MM),
+        draw_tones(generator(arm.subject, 0, "anatomy tones"), arm.shape, arm.spacing_mm),
+    )
+
+
+def _paint_nerves(
+    arm: _Arm, tissue: Codes, echogenicity: Codes, vessels: tuple[Vessel, ...]
+) -> None:
+    nerves = draw_nerves(generator(arm.subject, 0, "anatomy nerves"), arm.shape, vessels)
+    replaceable = labels_except(Tissue.OUTSIDE, Tissue.GEL, Tissue.SKIN, Tissue.BONE)
+    for nerve in nerves:
+        paint_nerve(
             tissue,
-            echo,
-            np.array(self.origin),
-            self.spacing,
-            fields,
-            np.array(COARSE_MM),
-            muscles,
-            tables,
-            cells,
-            self.tones(),
+            echogenicity,
+            np.array(arm.origin_mm),
+            arm.spacing_mm,
+            nerve.at(arm.along_mm, arm.mirror),
+            nerve.fascicles,
+            int(Tissue.NERVE),
+            np.array((code_of(BUNDLE_DB), code_of(NERVE_DB))),
+            replaceable,
         )
 
-    def tones(self):
-        g = generator(self.subject, 0, "anatomy tones")
-        t = g.normal(0, 1, 13)
-        thick = max(0.0, 0)
-        return np.array(
-            [
-                self.arm.skin_mm,
-                g.uniform(0.4, 1.1),
-                max(g.uniform(0.16, 0.28), 0.5 * self.spacing),
-                6 + t[0],
-                0 + t[1],
-                -14 + 1.5 * t[2],
-                13 + t[3],
-                7 + t[4],
-                -11 + 1.5 * t[5],
-                2 + t[6],
-                1 + t[7],
-                11 + t[8],
-                -20,
-            ],
-            np.float32,
+
+def _in_body(arm: _Arm, vessel: Vessel) -> list[Vessel]:
+    """Return a vessel in body coordinates: the pieces of it that are within the voxels."""
+    across, y, along = vessel.centerline_mm.T
+    points = np.column_stack((arm.mirror * across, y, arm.direction * (along - ARM_LENGTH_MM / 2)))
+    first = np.array(arm.origin_mm)
+    last = first + arm.spacing_mm * (np.array(arm.counts) - 1)
+    inside = np.all((points >= first) & (points <= last), axis=1)
+    return [
+        Vessel(
+            vessel.name,
+            vessel.kind,
+            points[piece],
+            vessel.radius_mm[piece],
+            vessel.mean_speed_mm_per_s,
         )
+        for piece in _runs(inside)
+    ]
+
+
+def _runs(inside: Bool[np.ndarray, " points"]) -> list[slice]:
+    """Return the stretches of two points or more that are inside."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False]))))
+    return [
+        slice(int(begin), int(end))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True)
+        if end - begin > 1
+    ]

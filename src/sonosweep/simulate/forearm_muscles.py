@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32
 
-from sonosweep.simulate.forearm_shape import ARM_LENGTH_MM, ArmShape
+from sonosweep.simulate.forearm_shape import ArmShape
 from sonosweep.simulate.smooth_noise import draw_noise
 
 # Columns of the table of muscles, in body coordinates: q = A x^2 + B x y + C y^2 around the
@@ -66,7 +66,6 @@ def muscle_table(
     shape: ArmShape,
     along_mm: Float[np.ndarray, " slices"],
     mirror: float,
-    direction: float,
 ) -> Float32[np.ndarray, "slices muscles columns=14"]:
     """Return the muscles of a new arm in each slice.
 
@@ -75,12 +74,11 @@ def muscle_table(
         shape: The arm that they are in.
         along_mm: Of the slices, from the wrist.
         mirror: -1 turns the arm into the other one: x is mirror * across.
-        direction: +1 if z runs from the wrist to the elbow, -1 if against it.
     """
     rows = []
     for muscle in MUSCLES.values():
         present = generator.random() < muscle.share
-        row = _one_muscle(generator, muscle, shape, along_mm, direction)
+        row = _one_muscle(generator, muscle, shape, along_mm)
         if present:
             rows.append(row)
     table = np.stack(rows, axis=1)
@@ -93,7 +91,6 @@ def _one_muscle(
     muscle: Muscle,
     shape: ArmShape,
     along: Float[np.ndarray, " slices"],
-    direction: float,
 ) -> Float[np.ndarray, "slices columns=14"]:
     row = np.empty((len(along), COLUMNS))
     wander = [draw_noise(generator, 40.0)(along) for _ in range(4)]
@@ -117,21 +114,20 @@ def _one_muscle(
     here = _step(along, muscle.begins_mm, 50.0) * _step(-along, -muscle.ends_mm, 40.0)
     row[:, WEIGHT] = generator.normal(0, 0.15) - _GONE * (1 - here)
     _taper(generator, row, muscle, along)
-    _texture(generator, row, along, direction)
+    _texture(generator, row, along)
     return row
 
 
-def _taper(generator, row, muscle, along):  # type: ignore[no-untyped-def]
+def _taper(generator, row, muscle, along):
     """Fill how much of a muscle is tendon, and how much of its compartment it fills."""
     reach = muscle.tendon_mm * generator.uniform(0.8, 1.2)
     toward_wrist = _step(-along, -reach, 60.0)
     thick = generator.uniform(0.28, 0.40)
-    core = generator.uniform(0.03, 0.10) * (along < 0.8 * ARM_LENGTH_MM)
-    row[:, TENDON] = (thick * toward_wrist) ** 2 + core**2 * 0.0
+    row[:, TENDON] = (thick * toward_wrist) ** 2
     row[:, FILL] = 0.45 + 4.0 * (1 - toward_wrist)
 
 
-def _texture(generator, row, along, direction):  # type: ignore[no-untyped-def]
+def _texture(generator, row, along):
     """Fill how fibres run: through the middle of the muscle, at an angle to its course."""
     pennation = np.tan(np.deg2rad(generator.uniform(2, 11))) * generator.choice((-1, 1))
     aside = np.tan(np.deg2rad(generator.normal(0, 3)))
