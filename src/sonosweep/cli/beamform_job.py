@@ -20,6 +20,11 @@ from sonosweep.io.write_scan import poses_beside
 from sonosweep.reconstruct.blocks import thread_count
 from sonosweep.scan import ChannelSweep, Frames, LazyFrames, Scan, modalities
 
+MODALITY_NAMES = {
+    "b_mode": "B-mode",
+    "power_doppler": "power Doppler",
+    "photoacoustic": "photoacoustic",
+}
 ECHO_F_NUMBER, PHOTOACOUSTIC_F_NUMBER = 1.5, 1.0
 
 
@@ -127,7 +132,7 @@ def _line(scan: Scan, files: tuple[Path, ...], found: list[str], left_out: list[
     count, rows, columns = scan.frames.shape
     assert scan.calibration is not None
     size = f"{columns} x {rows} pixels of {scan.calibration.spacing_mm[0]:.4g} mm"
-    told = ", ".join(found).replace("b_mode", "B-mode").replace("_", " ")
+    told = ", ".join(MODALITY_NAMES[name] for name in found)
     lost = f"; {', '.join(left_out)} left out: only .h5 holds companions" if left_out else ""
     names = ", ".join(str(file) for file in files)
     return f"{scan.name}: {count} frames of {size}, {told} -> {names}{lost}"
