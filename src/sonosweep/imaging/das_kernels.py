@@ -60,8 +60,15 @@ def _window(kind, offset):
 
 @njit(cache=True, nogil=True)
 @no_type_check
+def _turn(cycles):
+    """Return the angle of a number of cycles, between -pi and pi, in single precision."""
+    return np.float32(2 * math.pi * (cycles - math.floor(cycles + 0.5)))
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
 def receive_table(
-    points, elements, normals, aperture, scales, first, last, offset, delays, weights
+    points, elements, normals, aperture, scales, first, last, offset, delays, cosines, sines
 ):
     """Fill the receive delay in samples and the complex weight of all runs.
 
@@ -85,9 +92,10 @@ def receive_table(
                     argument = math.pi * width * aside / distance
                     sinc = math.sin(argument) / argument if argument > 1e-6 else 1.0
                     weight *= max(depth, 0.0) / distance * sinc
-                turn = 2 * math.pi * (cycles * distance - math.floor(cycles * distance))
+                turn = _turn(cycles * distance)
                 delays[at] = per_mm * distance
-                weights[at] = weight * complex(math.cos(turn), math.sin(turn))
+                cosines[at] = weight * math.cos(turn)
+                sines[at] = weight * math.sin(turn)
                 at += 1
 
 
@@ -99,8 +107,7 @@ def transmit_table(times, starts, rate, carrier, delays, phases):
         for c in range(times.shape[1]):
             for r in range(times.shape[2]):
                 delays[t, c, r] = (times[t, c, r] - starts[t]) * rate + FRONT
-                cycles = carrier * times[t, c, r]
-                turn = np.float32(2 * math.pi * (cycles - math.floor(cycles)))
+                turn = _turn(carrier * times[t, c, r])
                 phases[t, c, r] = complex(math.cos(turn), math.sin(turn))
 
 
@@ -119,71 +126,119 @@ def is_covered(transmit, first, last, offset, delays, samples):
     return False
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz", "nnan", "ninf"}, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _add_linear(samples, transmit, delays, weights, real, imag):
-    """Add the samples at the delays of a run of rows, two-point interpolation."""
-    top = np.float32(samples.size // 2 - 2)
+def _locate(transmit, delays, lowest, highest, index, part):
+    """Fill the sample before each position and the part of a sample that is left."""
     for r in range(delays.size):
-        position = min(max(transmit[r] + delays[r], np.float32(0)), top)
+        position = min(max(transmit[r] + delays[r], lowest), highest)
         k = np.int32(position)
-        part = position - np.float32(k)
-        re = samples[2 * k] + part * (samples[2 * k + 2] - samples[2 * k])
-        im = samples[2 * k + 1] + part * (samples[2 * k + 3] - samples[2 * k + 1])
-        w = weights[r]
-        real[r] += re * w.real - im * w.imag
-        imag[r] += re * w.imag + im * w.real
+        part[r] = position - np.float32(k)
+        index[r] = k
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz", "nnan", "ninf"}, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _add_cubic(samples, transmit, delays, weights, real, imag):
-    """Add the samples at the delays of a run of rows, four-point (Lagrange) interpolation."""
-    one, two, third = np.float32(1), np.float32(2), np.float32(1 / 3)
-    half = np.float32(0.5)
-    top = np.float32(samples.size // 2 - 3)
-    for r in range(delays.size):
-        position = min(max(transmit[r] + delays[r], one), top)
-        k = np.int32(position)
-        u = position - np.float32(k)
-        a = -u * (u - one) * (u - two) * half * third
+def _fetch(samples, shift, index, count, fetched):
+    """Copy the samples at ``index + shift``; a complex one moves as one 64-bit number."""
+    for r in range(count):
+        fetched[r] = samples[np.uint64(index[r] + shift)]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _fetch_two(samples, index, count, before, after):
+    """Copy the samples at ``index`` and those after them."""
+    for r in range(count):
+        k = np.uint64(index[r])
+        before[r] = samples[k]
+        after[r] = samples[k + np.uint64(1)]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+@no_type_check
+def _add_two(before, after, part, cosines, sines, real, imag):
+    """Add samples interpolated between two neighbors, times a weight."""
+    for r in range(cosines.size):
+        re = before[2 * r] + part[r] * (after[2 * r] - before[2 * r])
+        im = before[2 * r + 1] + part[r] * (after[2 * r + 1] - before[2 * r + 1])
+        real[r] += re * cosines[r] - im * sines[r]
+        imag[r] += re * sines[r] + im * cosines[r]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+@no_type_check
+def _add_four(values, part, cosines, sines, real, imag):
+    """Add samples interpolated between four neighbors (Lagrange), times a weight."""
+    one, two, half = np.float32(1), np.float32(2), np.float32(0.5)
+    sixth = np.float32(1 / 6)
+    for r in range(cosines.size):
+        u = part[r]
+        a = -u * (u - one) * (u - two) * sixth
         b = (u + one) * (u - one) * (u - two) * half
         c = -(u + one) * u * (u - two) * half
-        d = (u + one) * u * (u - one) * half * third
-        i = 2 * k
-        re = a * samples[i - 2] + b * samples[i] + c * samples[i + 2] + d * samples[i + 4]
-        im = a * samples[i - 1] + b * samples[i + 1] + c * samples[i + 3] + d * samples[i + 5]
-        w = weights[r]
-        real[r] += re * w.real - im * w.imag
-        imag[r] += re * w.imag + im * w.real
+        d = (u + one) * u * (u - one) * sixth
+        i = 2 * r
+        re = a * values[0, i] + b * values[1, i] + c * values[2, i] + d * values[3, i]
+        i = 2 * r + 1
+        im = a * values[0, i] + b * values[1, i] + c * values[2, i] + d * values[3, i]
+        real[r] += re * cosines[r] - im * sines[r]
+        imag[r] += re * sines[r] + im * cosines[r]
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def sum_block(samples, transmit, phases, first, last, offset, delays, weights, is_cubic, images):
+def sum_block(
+    samples, transmit, phases, first, last, offset, delays, cosines, sines, is_cubic, images
+):
     """Fill the analytic signal of a block of columns, ``(transmits, columns, rows)``.
 
-    ``samples`` are ``(transmits, elements, 2 * padded samples)``, real and imaginary parts
-    side by side; ``transmit`` holds the transmit delays in samples with the rim added, and
-    ``phases`` the carrier at the transmit delay.
+    ``samples`` are ``(transmits, elements, padded samples)``, each complex sample seen as one
+    64-bit number; ``transmit`` holds the transmit delays in samples with the rim added, and
+    ``phases`` the carrier at the transmit delay. Positions, fetching and adding are loops of
+    their own: only the fetching cannot use the processor's vector instructions.
     """
     transmits, columns, rows = transmit.shape
-    real = np.zeros((transmits, columns, rows), np.float32)
-    imag = np.zeros((transmits, columns, rows), np.float32)
+    real = np.zeros(transmits * columns * rows, np.float32)
+    imag = np.zeros(transmits * columns * rows, np.float32)
+    outward = transmit.reshape(-1)
+    index, part = np.empty(rows, np.int32), np.empty(rows, np.float32)
+    fetched = np.empty((4, rows), np.float64)
+    values = fetched.view(np.float32)
+    here, following = fetched[0], fetched[1]
+    here_parts, following_parts = values[0], values[1]
+    lowest = np.float32(1 if is_cubic else 0)
+    highest = np.float32(samples.shape[2] - (3 if is_cubic else 2))
     for e in range(first.shape[0]):
-        for t in range(transmits):
-            for c in range(columns):
-                low, high, at = first[e, c], last[e, c], offset[e, c]
-                if low == high:
-                    continue
-                stop = at + high - low
-                run = transmit[t, c, low:high]
-                re, im = real[t, c, low:high], imag[t, c, low:high]
+        for c in range(columns):
+            low, at, count = first[e, c], offset[e, c], last[e, c] - first[e, c]
+            if count == 0:
+                continue
+            inward = delays[at : at + count]
+            cosine, sine = cosines[at : at + count], sines[at : at + count]
+            for t in range(transmits):
+                begin = (t * columns + c) * rows + low
+                end = begin + count
+                _locate(outward[begin:end], inward, lowest, highest, index, part)
+                signal = samples[t, e]
                 if is_cubic:
-                    _add_cubic(samples[t, e], run, delays[at:stop], weights[at:stop], re, im)
+                    for k in range(4):
+                        _fetch(signal, k - 1, index, count, fetched[k])
+                    _add_four(values, part, cosine, sine, real[begin:end], imag[begin:end])
                 else:
-                    _add_linear(samples[t, e], run, delays[at:stop], weights[at:stop], re, im)
+                    _fetch_two(signal, index, count, here, following)
+                    _add_two(
+                        here_parts,
+                        following_parts,
+                        part,
+                        cosine,
+                        sine,
+                        real[begin:end],
+                        imag[begin:end],
+                    )
+    n = 0
     for t in range(transmits):
         for c in range(columns):
             for r in range(rows):
-                images[t, c, r] = phases[t, c, r] * complex(real[t, c, r], imag[t, c, r])
+                images[t, c, r] = phases[t, c, r] * complex(real[n], imag[n])
+                n += 1

@@ -109,9 +109,10 @@ def _by_element(
             for c in range(table.first.shape[1]):
                 low, high = int(table.first[element, c]), int(table.last[element, c])
                 at = int(table.offset[element, c])
+                end = at + high - low
                 pixels.append(np.arange(low, high) + column * rows)
-                delays.append(table.delays[at : at + high - low])
-                weights.append(table.weights[at : at + high - low])
+                delays.append(table.delays[at:end])
+                weights.append(table.cosines[at:end] + 1j * table.sines[at:end])
                 count, column = count + high - low, column + 1
         splits.append((begin, begin + count))
         begin += count

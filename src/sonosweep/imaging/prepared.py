@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Int, Shaped
+from jaxtyping import Complex64, Float32, Float64, Int, Shaped
 
 from sonosweep.errors import ScanError
 from sonosweep.imaging import das_kernels as kernels
@@ -77,9 +77,10 @@ class DelayTable:
         phases: Carrier at that delay.
         first: First row that an element hears in a column.
         last: One after the last such row.
-        offset: Where the run of an element and column begins in ``delays`` and ``weights``.
+        offset: Where the run of an element and column begins in ``delays`` and so on.
         delays: Receive delays, in samples.
-        weights: Apodization times the carrier at the receive delay.
+        cosines: Apodization times the carrier at the receive delay, real part.
+        sines: The same, imaginary part.
     """
 
     transmit: Float32[np.ndarray, "transmits columns rows"]
@@ -88,7 +89,8 @@ class DelayTable:
     last: Int[np.ndarray, "elements columns"]
     offset: Int[np.ndarray, "elements columns"]
     delays: Float32[np.ndarray, " pairs"]
-    weights: Complex64[np.ndarray, " pairs"]
+    cosines: Float32[np.ndarray, " pairs"]
+    sines: Float32[np.ndarray, " pairs"]
 
 
 def delay_table(geometry: Geometry, columns: slice) -> DelayTable:
@@ -98,7 +100,7 @@ def delay_table(geometry: Geometry, columns: slice) -> DelayTable:
     lengths = last - first
     offset = np.cumsum(lengths).reshape(lengths.shape) - lengths
     delays = np.empty(int(lengths.sum()), np.float32)
-    weights = np.empty(len(delays), np.complex64)
+    cosines, sines = np.empty_like(delays), np.empty_like(delays)
     per_mm = 1e-3 / geometry.sound_speed_m_per_s
     kernels.receive_table(
         points,
@@ -114,10 +116,11 @@ def delay_table(geometry: Geometry, columns: slice) -> DelayTable:
         last,
         offset,
         delays,
-        weights,
+        cosines,
+        sines,
     )
     transmit, phases = _transmit_table(geometry, points)
-    return DelayTable(transmit, phases, first, last, offset, delays, weights)
+    return DelayTable(transmit, phases, first, last, offset, delays, cosines, sines)
 
 
 def _runs(geometry: Geometry, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -240,7 +243,8 @@ class Beamformer:
             table.last,
             table.offset,
             table.delays,
-            table.weights,
+            table.cosines,
+            table.sines,
             self.geometry.is_cubic,
             images,
         )
@@ -257,12 +261,12 @@ def needed_bytes(geometry: Geometry) -> int:
     return BYTES_PER_PAIR * (pairs + geometry.transmits * columns * rows)
 
 
-def _padded(iq: np.ndarray) -> Float32[np.ndarray, "transmits elements parts"]:
-    """Return samples with a rim of zeros, real and imaginary parts side by side."""
+def _padded(iq: np.ndarray) -> Float64[np.ndarray, "transmits elements padded"]:
+    """Return samples with a rim of zeros, each complex one in the bits of a 64-bit number."""
     size = iq.shape[-1]
     padded = np.zeros((*iq.shape[:-1], size + kernels.FRONT + kernels.BACK), np.complex64)
     padded[..., kernels.FRONT : kernels.FRONT + size] = iq
-    return padded.view(np.float32)
+    return padded.view(np.float64)
 
 
 def _is_covered(table: DelayTable, samples: int) -> bool:
