@@ -116,7 +116,7 @@ def change(path, **parts):
         ({"b_mode__samples": np.zeros((3, 5, 4, 8), "S3")}, "must hold numbers"),
         ({"b_mode__samples": np.zeros((3, 5, 6, 8), np.int16)}, "6 channels but probe 'L11-5v'"),
         ({"b_mode__samples": np.zeros((2, 5, 4, 8), np.int16)}, "2 frames but 3 'timestamps_s'"),
-        ({"b_mode__transmit_delays_s": np.full((5, 4), np.nan)}, "are not all numbers"),
+        ({"b_mode__transmit_delays_s": np.full((5, 4), np.inf)}, "are not all numbers"),
         ({"b_mode__transmit_delays_s": np.zeros((5, 3))}, "transmit delays of shape"),
         (
             {"b_mode__start_time_s": np.zeros(4)},

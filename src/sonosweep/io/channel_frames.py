@@ -31,6 +31,7 @@ class HDF5ChannelFrames(LazyFrames):
         shape: Frames, transmits, elements, samples.
         dtype: Type of a sample.
         order: For each stored axis which of the four it is, or the one index to take of it.
+        turns: Factor for each transmit.
     """
 
     def __init__(
@@ -40,9 +41,10 @@ class HDF5ChannelFrames(LazyFrames):
         shape: tuple[int, ...],
         dtype: np.dtype,
         order: tuple[str | int, ...],
+        turns: np.ndarray | None = None,
     ) -> None:
         super().__init__(shape, dtype)
-        self._path, self._parts, self._order = path, parts, order
+        self._path, self._parts, self._order, self._turns = path, parts, order, turns
         self._open: tuple[int, list[h5py.Dataset]] | None = None
 
     def __getstate__(self) -> dict:
@@ -70,6 +72,8 @@ class HDF5ChannelFrames(LazyFrames):
             target[...] = stored[0].transpose(axes)
         else:
             target.real, target.imag = (part.transpose(axes) for part in stored)
+        if self._turns is not None:
+            samples *= self._turns[:, None, None]
         return samples
 
     def _datasets(self) -> list[h5py.Dataset]:
@@ -81,7 +85,9 @@ class HDF5ChannelFrames(LazyFrames):
 
 
 def channel_frames(
-    datasets: Sequence[h5py.Dataset], order: tuple[str | int, ...]
+    datasets: Sequence[h5py.Dataset],
+    order: tuple[str | int, ...],
+    turns: np.ndarray | None = None,
 ) -> HDF5ChannelFrames:
     """Return channel samples without reading them.
 
@@ -89,6 +95,7 @@ def channel_frames(
         datasets: One of real or complex numbers, or the real and the imaginary part.
         order: For each stored axis which of ``"frames"``, ``"transmits"``, ``"elements"`` and
             ``"samples"`` it is, or the one index to take of it. An absent axis has length 1.
+        turns: Factor for each transmit, of complex samples.
 
     Raises:
         FormatError: If they hold no numbers, have other axes, or are too large.
@@ -118,8 +125,12 @@ def channel_frames(
             f"{what} is stored in chunks of {first.chunks}, so that one frame cannot be read"
             " alone: store it again with smaller chunks"
         )
+    if turns is not None:
+        turns = turns.astype(np.complex64) if np.any(turns != 1) else None
+    if turns is not None and len(turns) != shape[1]:
+        raise FormatError(f"{what} has {shape[1]} transmits, but {len(turns)} are described")
     parts = tuple(dataset.name for dataset in datasets)
-    return HDF5ChannelFrames(path.resolve(), parts, shape, np.dtype(dtype), order)
+    return HDF5ChannelFrames(path.resolve(), parts, shape, np.dtype(dtype), order, turns)
 
 
 def check_sizes(what: str, shape: tuple[int, ...], dtype: np.dtype) -> None:

@@ -20,7 +20,8 @@ attributes               ``name``, ``sampling_frequency_hz``, ``demodulation_fre
 ``samples``              (frames, transmits, elements, samples), any real or complex type,
                          chunks of one transmit; h5py's complex numbers: pairs ``r``, ``i``
 ``start_time_s``         float64 (transmits): the first sample after time zero; 0 if absent
-``transmit_delays_s``    float64 (transmits, elements); absent if nothing is sent
+``transmit_delays_s``    float64 (transmits, elements), NaN for silent elements; absent
+                         if nothing is sent
 ``timestamps_s``         float64 (frames), if known
 ``probe/`` attributes    ``name``, ``element_width_mm``, ``center_frequency_hz``,
                          ``elevation_aperture_mm`` and ``elevation_focus_mm`` (if known)
@@ -61,6 +62,7 @@ FORMAT_VERSION = 1
 MODALITIES = ("b_mode", "power_doppler", "photoacoustic")
 NUMBERS = ("sampling_frequency_hz", "demodulation_frequency_hz", "sound_speed_m_per_s")
 ARRAYS = ("start_time_s", "transmit_delays_s", "timestamps_s")
+NO_NAN = ("start_time_s", "timestamps_s", "tracked")
 PROBE_NUMBERS = ("element_width_mm", "center_frequency_hz")
 PROBE_OPTIONS = ("elevation_aperture_mm", "elevation_focus_mm")
 
@@ -234,6 +236,7 @@ def _optional(
     if name not in group:
         return None
     values = read_array(group, name, shape, frames)
-    if name != "image_to_reference" and not np.isfinite(values).all():
+    # NaN marks frames that the tracker missed and elements that do not fire.
+    if np.isinf(values).any() or (name in NO_NAN and np.isnan(values).any()):
         raise FormatError(f"'{name}' in '{Path(group.file.filename).name}' are not all numbers")
     return torch.from_numpy(values)

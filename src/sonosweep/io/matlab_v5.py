@@ -8,6 +8,7 @@ References:
     MathWorks, "MAT-File Format", chapter 1, "Level 5 MAT-File Format".
 """
 
+import math
 import struct
 import zlib
 from collections.abc import Iterator
@@ -22,7 +23,8 @@ HEADER_BYTES = 128
 MATRIX, COMPRESSED = 14, 15
 STORED_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
 STORED_TYPES |= {12: "i8", 13: "u8"}
-STRUCT_CLASS = 2
+CELL_CLASS, STRUCT_CLASS, TEXT_CLASS = 1, 2, 4
+TEXT_TYPES = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16"}
 # Class of an array, and the type of its numbers once read.
 CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4"}
 CLASSES |= {14: "i8", 15: "u8"}
@@ -32,6 +34,9 @@ LARGEST_ELEMENT_BYTES = 2**31
 LARGEST_DEFLATE_RATIO = 1032  # zlib's stated limit
 MOST_ELEMENTS = 10_000
 MOST_AXES = 32
+
+Element = bytes | memoryview
+"""The bytes of an array in a file; views save copies."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +151,7 @@ def open_old(path: Path) -> OldFile:
     return OldFile(path, order)
 
 
-def parse_array(element: bytes, order: str) -> OldArray:
+def parse_array(element: Element, order: str) -> OldArray:
     """Return what the start of an element tells; nothing behind that is looked at.
 
     Raises:
@@ -161,11 +166,11 @@ def parse_array(element: bytes, order: str) -> OldArray:
     shape = struct.unpack(f"{order}{len(axes) // 4}i", axes)
     if min(shape) < 0:
         raise FormatError(f"an array has the shape {shape}")
-    text = name.decode("utf-8", "replace").rstrip("\0")
+    text = bytes(name).decode("utf-8", "replace").rstrip("\0")
     return OldArray(text, shape, word & 0xFF, bool(word >> 8 & COMPLEX_FLAG), at)
 
 
-def read_numbers(element: bytes, array: OldArray, order: str) -> np.ndarray:
+def read_numbers(element: Element, array: OldArray, order: str) -> np.ndarray:
     """Return the numbers of an array as MATLAB shows them.
 
     Raises:
@@ -183,14 +188,23 @@ def read_numbers(element: bytes, array: OldArray, order: str) -> np.ndarray:
     return numbers.astype(array.dtype).reshape(array.shape, order="F")
 
 
-def read_fields(element: bytes, array: OldArray, order: str) -> Iterator[tuple[str, bytes]]:
+def read_fields(element: Element, array: OldArray, order: str) -> Iterator[tuple[str, Element]]:
     """Give the names and elements of the fields of a 1 x 1 struct, none for other arrays.
 
     Raises:
         FormatError: If the names are damaged.
     """
-    if array.class_number != STRUCT_CLASS or any(size != 1 for size in array.shape):
-        return
+    if array.class_number == STRUCT_CLASS and all(size == 1 for size in array.shape):
+        for fields in read_structs(element, array, order):
+            yield from fields.items()
+
+
+def read_structs(element: Element, array: OldArray, order: str) -> Iterator[dict[str, Element]]:
+    """Give the elements of the fields of each struct of an array of structs; empty ones lack.
+
+    Raises:
+        FormatError: If the names are damaged, or there are fewer structs than stated.
+    """
     _, width, at = _part(element, array.body, order)
     _, names, at = _part(element, at, order)
     if len(width) != 4:
@@ -198,14 +212,48 @@ def read_fields(element: bytes, array: OldArray, order: str) -> Iterator[tuple[s
     (length,) = struct.unpack(order + "i", width)
     if not 0 < length <= 256 or len(names) // length > MOST_ELEMENTS:
         raise FormatError(f"a struct has field names of length {length}")
-    for k in range(len(names) // length):
-        name = names[k * length : (k + 1) * length].split(b"\0")[0].decode("utf-8", "replace")
-        kind, inner, at = _part(element, at, order)
-        if kind == MATRIX and inner:
-            yield name, inner
+    known = [_text(bytes(names[k : k + length])) for k in range(0, len(names), length)]
+    for _ in range(math.prod(array.shape) if known else 0):
+        fields = {}
+        for name in known:
+            kind, inner, at = _part(element, at, order)
+            if kind == MATRIX and len(inner):
+                fields[name] = inner
+        yield fields
 
 
-def _part(element: bytes, at: int, order: str) -> tuple[int, bytes, int]:
+def read_cells(element: Element, array: OldArray, order: str) -> Iterator[Element]:
+    """Give the element of each cell, empty for an empty one.
+
+    Raises:
+        FormatError: If there are fewer than stated.
+    """
+    at = array.body
+    for _ in range(math.prod(array.shape)):
+        _, inner, at = _part(element, at, order)
+        yield inner
+
+
+def read_text(element: Element, array: OldArray, order: str) -> str:
+    """Return a row of characters.
+
+    Raises:
+        FormatError: If it is none.
+    """
+    kind, data, _ = _part(element, array.body, order)
+    if array.class_number != TEXT_CLASS or kind not in TEXT_TYPES:
+        raise FormatError(f"'{array.name}' does not hold text")
+    encoding = TEXT_TYPES[kind]
+    if encoding == "utf-16":
+        encoding = "utf-16-le" if order == "<" else "utf-16-be"
+    return bytes(data).decode(encoding, "replace")
+
+
+def _text(stored: bytes) -> str:
+    return stored.split(b"\0")[0].decode("utf-8", "replace")
+
+
+def _part(element: Element, at: int, order: str) -> tuple[int, Element, int]:
     """Return type and data of a part of an element, and where the next one begins."""
     if at + 8 > len(element):
         raise FormatError("an array is cut short")

@@ -22,6 +22,7 @@ from sonosweep.io.hdf5_access import (
 )
 from sonosweep.io.matlab_v5 import (
     LARGEST_ELEMENT_BYTES,
+    Element,
     OldArray,
     OldFile,
     open_old,
@@ -68,7 +69,8 @@ class LoadOld:
     def __call__(self) -> np.ndarray:
         """Return the variable as MATLAB shows it."""
         with explaining(self.file.path):
-            order, element = self.file.order, self.file.body(self.place)
+            order = self.file.order
+            element: Element = self.file.body(self.place)
             for field in self.fields:
                 element = dict(read_fields(element, parse_array(element, order), order))[field]
             return read_numbers(element, parse_array(element, order), order)
@@ -119,7 +121,7 @@ def list_old(path: Path, wanted: str | None) -> dict[str, Variable]:
 
 
 def _walk(
-    element: bytes, order: str, names: tuple[str, ...], depth: int
+    element: Element, order: str, names: tuple[str, ...], depth: int
 ) -> Iterator[tuple[tuple[str, ...], OldArray]]:
     """Give the arrays of nested structs and the names that lead to them."""
     for name, inner in read_fields(element, parse_array(element, order), order):

@@ -45,6 +45,7 @@ from jaxtyping import Float
 
 from sonosweep.errors import FormatError
 from sonosweep.io.channel_frames import check_sizes
+from sonosweep.io.element_axes import plane_coordinates
 from sonosweep.io.safe_xml import parse_xml
 from sonosweep.scan import ChannelData, ChannelSweep, LazyFrames, Probe
 
@@ -57,7 +58,6 @@ ASSUMED_SPEED_M_PER_S = 1500.0
 # Marczak's polynomial, m/s, of the temperature in °C from 0 to 95.
 WATER_SPEED = (1402.385, 5.038813, -5.799136e-2, 3.287156e-4, -1.398845e-6, 2.787860e-9)
 IRF_MARK = 1000.0
-FLATNESS = 0.05  # an array in one plane is thinner than this part of its width
 SAME_WAVELENGTH_NM = 0.01
 
 
@@ -286,7 +286,7 @@ def _choose(shots: list[Shot], wavelength_nm: float | None, file: Path) -> np.nd
 
 def _probe(positions_m: np.ndarray, root: Element, file: Path) -> Probe:
     named = root.find(".//TRANSDUCER")
-    plane = _plane_coordinates(positions_m, file)
+    plane = plane_coordinates(positions_m, None, file.name)
     return Probe(
         name=(named.text if named is not None and named.text else "MSOT").strip()[:80],
         element_positions_mm=torch.from_numpy(plane * MM_PER_M),
@@ -294,23 +294,6 @@ def _probe(positions_m: np.ndarray, root: Element, file: Path) -> Probe:
         * float(np.median(np.linalg.norm(np.diff(plane, axis=0), axis=1))),
         center_frequency_hz=ASSUMED_FREQUENCY_HZ,
     )
-
-
-def _plane_coordinates(positions: np.ndarray, file: Path) -> np.ndarray:
-    """Return positions whose third axis is across the array's plane, by turns alone."""
-    extent = np.ptp(positions, axis=0)
-    across = int(extent.argmin())
-    if extent[across] > FLATNESS * extent.max():
-        raise FormatError(f"the array of '{file.name}' is not plane: only plane arrays are read")
-    # Cyclic, so that the axes stay right-handed.
-    turned = np.roll(positions, 2 - across, axis=1)
-    middle = turned[:, :2].mean(axis=0)
-    length = float(np.hypot(*middle))
-    if length < FLATNESS * extent.max():  # a full ring has no middle
-        return turned
-    axial = -middle / length
-    lateral = np.array([axial[1], -axial[0]])
-    return np.column_stack([turned[:, :2] @ lateral, turned[:, :2] @ axial, turned[:, 2]])
 
 
 def _sound_speed(shots: list[Shot]) -> tuple[float, str]:

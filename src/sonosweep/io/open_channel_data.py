@@ -1,6 +1,7 @@
 """The one place that looks at a path and decides how its channel data is read."""
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,25 +48,46 @@ def _read(file: Path, wavelength_nm: float | None) -> ChannelSweep:
     if file.stat().st_size == 0:
         raise FormatError(f"'{file.name}' is empty")
     if file.suffix.lower() == ".mat":
-        from sonosweep.io.must import is_must, read_must
-
-        if is_must(file):
-            return read_must(file)
-        raise FormatError(f"'{file.name}' holds no channel data that we know (MUST's RF and param)")
+        return _read_mat(file)
     if file.suffix.lower() in CHANNEL_HDF5:
         return _read_hdf5(file, wavelength_nm)
     raise FormatError(f"'{file.name}' is of no format that holds channel data; we read {KNOWN}")
+
+
+def _read_mat(file: Path) -> ChannelSweep:
+    from sonosweep.io.must import is_must, read_must
+    from sonosweep.io.verasonics import is_verasonics, read_verasonics
+
+    if is_verasonics(file):
+        return read_verasonics(file)
+    if is_must(file):
+        return read_must(file)
+    raise FormatError(
+        f"'{file.name}' holds no channel data that we know: neither Verasonics' RcvData and Trans"
+        " nor MUST's RF and param"
+    )
 
 
 def _read_hdf5(file: Path, wavelength_nm: float | None) -> ChannelSweep:
     from sonosweep.io.channel_hdf5 import is_channel_hdf5, read_channels
     from sonosweep.io.hdf5 import is_scan_hdf5
     from sonosweep.io.hdf5_access import open_hdf5
+    from sonosweep.io.ipasc import is_ipasc, read_ipasc
+    from sonosweep.io.picmus import is_picmus, read_picmus
+    from sonosweep.io.uff import is_uff, read_uff
 
     with open_hdf5(file):  # says it if the file is damaged, which is no question of layout
         pass
-    if is_channel_hdf5(file):
-        return read_channels(file)
+    if is_ipasc(file):
+        return read_ipasc(file, wavelength_nm=wavelength_nm)
+    layouts: tuple[tuple[Callable[[Path], bool], Callable[[Path], ChannelSweep]], ...] = (
+        (is_channel_hdf5, read_channels),
+        (is_picmus, read_picmus),
+        (is_uff, read_uff),
+    )
+    for recognizes, read in layouts:
+        if recognizes(file):
+            return read(file)
     if is_scan_hdf5(file):
         raise FormatError(
             f"'{file.name}' is a scan, which is beamformed already: use 'sonosweep reconstruct'"
