@@ -28,7 +28,7 @@ def block(
         tissue=np.full(shape, int(Tissue.MUSCLE), np.uint8),
         echogenicity=np.full(shape, code, np.uint8),
         spacing_mm=spacing_mm,
-        origin_mm=(-size_mm[0] / 2, 0.0, -size_mm[2] / 2),
+        origin_mm=(-spacing_mm * (shape[2] - 1) / 2, 0.0, -spacing_mm * (shape[0] - 1) / 2),
         skin_depth_mm=np.zeros((shape[0], shape[2]), np.float32),
     )
 
@@ -45,8 +45,8 @@ def arm(spacing_mm: float = 0.25, muscle_db: float = -8.0) -> Body:
     echo[:, y < SKIN_MM] = REFERENCE_CODE + 20
     vessels = []
     for name, label, (across, deep), radius, speed in (
-        ("artery", Tissue.ARTERY, ARTERY_MM, ARTERY_RADIUS_MM, 150.0),
-        ("vein", Tissue.VEIN, VEIN_MM, VEIN_RADIUS_MM, 60.0),
+        ("artery", Tissue.ARTERY, ARTERY_MM, ARTERY_RADIUS_MM, 300.0),
+        ("vein", Tissue.VEIN, VEIN_MM, VEIN_RADIUS_MM, 150.0),
     ):
         middle = deep + VESSEL_SLOPE * z[:, np.newaxis, np.newaxis]
         lumen = np.hypot(x - across, y[:, np.newaxis] - middle) < radius

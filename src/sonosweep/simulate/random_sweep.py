@@ -27,8 +27,6 @@ blood, its noise            -50 to -42 dB, -90 to -80 dB        power Doppler
 A convex probe has 2.6 to 3.6 MHz, a radius of 40 mm, wider beams and less haze.
 """
 
-from typing import Literal
-
 import numpy as np
 
 from sonosweep.errors import ScanError
@@ -41,10 +39,10 @@ from sonosweep.simulate.doppler_frames import DopplerSettings
 from sonosweep.simulate.motion import MotionSettings
 from sonosweep.simulate.scanner import Scanner
 from sonosweep.simulate.seeds import generator
-from sonosweep.simulate.sweep_settings import Modality, SweepSettings
+from sonosweep.simulate.sweep_settings import SweepSettings
 from sonosweep.simulate.tracker import TrackerSettings
 
-ProbeKind = Literal["linear", "convex"]
+PROBE_KINDS = ("linear", "convex")
 
 LINEAR_SIDE_MM = 256 * 0.1484
 CONVEX_RADIUS_MM = 40.0
@@ -66,9 +64,9 @@ def draw_sweep(
     scan: int,
     motion: MotionSettings | None = None,
     *,
-    probe: ProbeKind = "linear",
+    probe: str = "linear",
     pixels: tuple[int, int] | None = None,
-    modalities: tuple[Modality, ...] = (),
+    modalities: tuple[str, ...] = (),
     tracker: TrackerSettings | None = None,
 ) -> SweepSettings:
     """Return the settings of one scan; the same numbers give the same settings.
@@ -86,7 +84,7 @@ def draw_sweep(
     Raises:
         ScanError: If there is no such subject, probe or modality.
     """
-    if probe not in ("linear", "convex"):
+    if probe not in PROBE_KINDS:
         raise ScanError(f"a probe is 'linear' or 'convex', got '{probe}'")
     draw = generator(subject, scan, "settings")
     beam = _draw_beam(draw, probe)
@@ -109,7 +107,7 @@ def draw_sweep(
     )
 
 
-def _draw_beam(draw: np.random.Generator, probe: ProbeKind) -> Beam:
+def _draw_beam(draw: np.random.Generator, probe: str) -> Beam:
     if probe == "linear":
         return Beam(
             center_frequency_hz=draw.uniform(5.8e6, 7.4e6),
@@ -128,7 +126,7 @@ def _draw_beam(draw: np.random.Generator, probe: ProbeKind) -> Beam:
     )
 
 
-def _draw_scanner(draw: np.random.Generator, beam: Beam, probe: ProbeKind) -> Scanner:
+def _draw_scanner(draw: np.random.Generator, beam: Beam, probe: str) -> Scanner:
     attenuation = draw.uniform(0.55, 0.95)
     muscle = two_way_loss_db_per_mm(beam.center_frequency_hz, attenuation)[Tissue.MUSCLE]
     reduces = draw.random() >= NO_REDUCTION_CHANCE
@@ -163,7 +161,7 @@ def _draw_body_motion(draw: np.random.Generator) -> BodyMotionSettings:
     )
 
 
-def _grid(probe: ProbeKind, pixels: tuple[int, int] | None) -> PixelGrid:
+def _grid(probe: str, pixels: tuple[int, int] | None) -> PixelGrid:
     """Return pixels over the field of view of the paper's frames."""
     columns, rows = pixels or ((256, 256) if probe == "linear" else (640, 480))
     if min(columns, rows) < 1:

@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Int32, Int64
 from numba import njit
 
 from sonosweep.simulate.beam import Beam
@@ -178,7 +178,7 @@ def seen_cells(
 
 def _cell_box(
     slab: Slab, table: CellTable, affine: np.ndarray, push_mm: float
-) -> Float[np.ndarray, "2 3"]:
+) -> Int64[np.ndarray, "2 3"]:
     """First and one-past-last cell along x, y, z of the body that may meet the slab."""
     lateral, axial, height = _slab_box(slab)
     corners = np.array([(x, y, z) for x in lateral for y in axial for z in (-height, height)])

@@ -19,10 +19,10 @@ from sonosweep.simulate.sweep_frames import (
     PhotoacousticFrames,
     PowerDopplerFrames,
 )
-from sonosweep.simulate.sweep_settings import Modality, SweepSettings, settings_text
+from sonosweep.simulate.sweep_settings import SweepSettings, settings_text
 from sonosweep.simulate.tracker import track_frames
 
-FRAMES_OF: dict[Modality, type[LazyFrames]] = {
+FRAMES_OF: dict[str, type[LazyFrames]] = {
     "amplitude": AmplitudeFrames,
     "iq": IQFrames,
     "power_doppler": PowerDopplerFrames,

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 from dataclasses import dataclass, field
-from typing import Literal, get_args
 
 from sonosweep.errors import ScanError
 from sonosweep.imaging import PAPER_GRID, PixelGrid, SectorGrid
@@ -16,8 +15,7 @@ from sonosweep.simulate.scanner import Scanner
 from sonosweep.simulate.seeds import subject_name
 from sonosweep.simulate.tracker import TrackerSettings
 
-Modality = Literal["amplitude", "iq", "power_doppler", "photoacoustic"]
-MODALITIES: tuple[Modality, ...] = get_args(Modality)
+MODALITIES = ("amplitude", "iq", "power_doppler", "photoacoustic")
 OF_LINEAR_ARRAYS = ("iq", "power_doppler", "photoacoustic")
 
 
@@ -50,7 +48,7 @@ class SweepSettings:
     scanner: Scanner = field(default_factory=Scanner)
     grid: PixelGrid = PAPER_GRID
     sector: SectorGrid | None = None
-    modalities: tuple[Modality, ...] = ()
+    modalities: tuple[str, ...] = ()
     doppler: DopplerSettings = field(default_factory=DopplerSettings)
     photoacoustic: PhotoacousticSettings = field(default_factory=PhotoacousticSettings)
     tracker: TrackerSettings | None = None
