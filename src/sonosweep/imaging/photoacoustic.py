@@ -6,7 +6,6 @@ Their image is the envelope of a one-way delay-and-sum, see
 
 import numpy as np
 from jaxtyping import Float32, Shaped
-from scipy import signal
 
 from sonosweep.errors import ScanError
 
@@ -32,6 +31,8 @@ def band_pass(
         ScanError: If the band is not between 0 and half the sampling frequency, samples
             are not all numbers, or there are too few.
     """
+    from scipy import signal  # takes half a second to load, which others need not wait for
+
     low, high = band_hz
     if not 0 < low < high < sampling_frequency_hz / 2:
         raise ScanError(

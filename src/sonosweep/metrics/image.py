@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import ndimage, optimize
+from scipy import ndimage
 
 from sonosweep.errors import ScanError
 
@@ -51,6 +51,8 @@ def point_resolution(
         ScanError: If there is no maximum within reach, or it does not fall to half within
             the image.
     """
+    from scipy import optimize  # slow to load
+
     scale = np.array([spacing_mm[1], spacing_mm[0]])
     rows, columns = np.indices(amplitude.shape)
     away = np.hypot(rows * scale[0] - near_mm[1], columns * scale[1] - near_mm[0])
