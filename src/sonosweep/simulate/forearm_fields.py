@@ -51,7 +51,7 @@ def coarse_fields(
     fields[BONE] = arm.bone_distance(x + 0.3 * warp_x, y + 0.3 * warp_y, z)
     fields[MEMBRANE] = arm.membrane_distance(x, y + 0.5 * warp_y, z)
     fields[WARP_X], fields[WARP_Y] = mirror * warp_x, warp_y
-    fields[BRIGHT] = 1.6 * draw_noise(generator, 18.0, 5.0, 6.0)(z, y, x)
+    fields[BRIGHT] = 2.5 * draw_noise(generator, 18.0, 5.0, 6.0)(z, y, x)
     fields[MIDDLE] = y - arm.middle_y(z)
     return fields
 
@@ -61,16 +61,16 @@ def draw_tables(generator: np.random.Generator) -> Float32[np.ndarray, "2 z y x"
     muscle = sheet_table(
         generator,
         cell_mm=CELLS_MM[0],
-        spread_mm=(9.0, 0.32, 1.3),
-        thickness_mm=0.11,
-        coverage=0.45,
+        spread_mm=(9.0, 0.36, 1.4),
+        thickness_mm=0.17,
+        coverage=0.5,
     )
     fat = sheet_table(
         generator,
         cell_mm=CELLS_MM[1],
-        spread_mm=(9.0, 0.4, 4.0),
-        thickness_mm=0.10,
-        coverage=0.5,
+        spread_mm=(9.0, 0.42, 3.0),
+        thickness_mm=0.16,
+        coverage=0.65,
     )
     return np.stack((muscle, fat))
 
@@ -82,6 +82,6 @@ def draw_tones(
     fascia_mm, septum_mm = generator.uniform((0.4, 0.16), (1.1, 0.28))
     thicknesses = (arm.skin_mm, fascia_mm, max(septum_mm, 0.5 * spacing_mm))
     #         entry dermis fat  septa fascia muscle septum tendon bone marrow
-    levels = (6.0, 0.0, -14.0, 13.0, 7.0, -11.0, 2.0, 1.0, 11.0, -20.0)
+    levels = (6.0, 0.0, -18.0, 19.0, 7.0, -15.0, 1.0, 1.0, 11.0, -20.0)
     spread = (1.0, 1.0, 1.5, 1.0, 1.0, 1.5, 1.0, 1.0, 1.0, 0.0)
     return np.array((*thicknesses, *generator.normal(levels, spread)), np.float32)

@@ -219,7 +219,7 @@ def _septa_row(tissue, levels, values, xs, y, gaps, nearest, muscles, tones):
         steepness = math.sqrt(across * across + deep * deep) + np.float32(1e-6)
         distance, flat = gap / steepness, abs(deep) / steepness
         # A border along the beam sends little back.
-        bright = tones[SEPTUM_DB] - np.float32(6) * (_ONE - flat)
+        bright = tones[SEPTUM_DB] - np.float32(10) * (_ONE - flat)
         levels[k] += _line(distance, width) * max(bright - levels[k], np.float32(0))
         if distance < width:
             tissue[k] = _FASCIA

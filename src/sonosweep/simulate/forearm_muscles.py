@@ -129,13 +129,13 @@ def _taper(generator, row, muscle, along):
 
 def _texture(generator, row, along):
     """Fill how fibres run: through the middle of the muscle, at an angle to its course."""
-    pennation = np.tan(np.deg2rad(generator.uniform(2, 11))) * generator.choice((-1, 1))
+    pennation = np.tan(np.deg2rad(generator.uniform(2, 13))) * generator.choice((-1, 1))
     aside = np.tan(np.deg2rad(generator.normal(0, 3)))
     start = generator.uniform(0, 30, 2)
     row[:, TEXTURE_X] = start[0] + aside * along
     row[:, TEXTURE_Y] = start[1] + pennation * along
     row[:, LEVEL_DB] = generator.normal(0, 1.2)
-    row[:, GAIN_DB] = generator.uniform(10, 15)
+    row[:, GAIN_DB] = generator.uniform(14, 20)
 
 
 def _step(
