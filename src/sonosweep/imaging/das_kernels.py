@@ -210,32 +210,25 @@ def sum_block(
     lowest = np.float32(1 if is_cubic else 0)
     highest = np.float32(samples.shape[2] - (3 if is_cubic else 2))
     for e in range(first.shape[0]):
-        for c in range(columns):
-            low, at, count = first[e, c], offset[e, c], last[e, c] - first[e, c]
-            if count == 0:
-                continue
-            inward = delays[at : at + count]
-            cosine, sine = cosines[at : at + count], sines[at : at + count]
-            for t in range(transmits):
+        for t in range(transmits):
+            signal = samples[t, e]
+            for c in range(columns):
+                low, at, count = first[e, c], offset[e, c], last[e, c] - first[e, c]
+                if count == 0:
+                    continue
+                inward = delays[at : at + count]
+                cosine, sine = cosines[at : at + count], sines[at : at + count]
                 begin = (t * columns + c) * rows + low
                 end = begin + count
+                re, im = real[begin:end], imag[begin:end]
                 _locate(outward[begin:end], inward, lowest, highest, index, part)
-                signal = samples[t, e]
                 if is_cubic:
                     for k in range(4):
                         _fetch(signal, k - 1, index, count, fetched[k])
-                    _add_four(values, part, cosine, sine, real[begin:end], imag[begin:end])
+                    _add_four(values, part, cosine, sine, re, im)
                 else:
                     _fetch_two(signal, index, count, here, following)
-                    _add_two(
-                        here_parts,
-                        following_parts,
-                        part,
-                        cosine,
-                        sine,
-                        real[begin:end],
-                        imag[begin:end],
-                    )
+                    _add_two(here_parts, following_parts, part, cosine, sine, re, im)
     n = 0
     for t in range(transmits):
         for c in range(columns):

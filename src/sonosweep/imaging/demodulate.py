@@ -15,10 +15,11 @@ from sonosweep.errors import ScanError
 
 EDGE = 0.2
 """Part of the pass band over which the filter falls at each end, a raised cosine."""
-PADDING = 32
-"""Zeros after a recording, so that the filter does not wrap its end into its beginning."""
-CHUNK_SAMPLES = 1 << 19
-"""Filtered at once; a few megabytes stay in the processor's cache."""
+PADDING = 8.0
+"""Zeros after a recording, in periods of the cut-off frequency: the filter would wrap its end
+into its beginning."""
+CHUNK_SAMPLES = 1 << 17
+"""Filtered at once; a megabyte stays in the processor's cache."""
 
 
 def demodulate(
@@ -60,7 +61,8 @@ def demodulate(
             f"decimation by {decimation} leaves {sampling_frequency_hz / max(decimation, 1):g} Hz"
             f" for a band of {2 * kept_band:g} Hz; narrow the band or decimate less"
         )
-    padded = decimation * fft.next_fast_len(-(-(samples + PADDING) // decimation))
+    zeros = math.ceil(PADDING * sampling_frequency_hz / cutoff)
+    padded = decimation * fft.next_fast_len(-(-(samples + zeros) // decimation))
     response = _response(padded, sampling_frequency_hz, cutoff).astype(np.float32)
     batch = rf.shape[:-1]
     signals = rf.reshape(-1, samples)
