@@ -112,7 +112,7 @@ def test_a_path_has_the_length_and_excursion_asked_for(shape, length_mm, excursi
     """The line on the skin is as long as said, whatever its bends."""
     path = sweep_path(shape, length_mm, excursion_mm)
 
-    assert path.lengths_mm[-1] == pytest.approx(length_mm, abs=1e-3)  # chords of bends
+    assert path.lengths_mm[-1] == pytest.approx(length_mm, abs=5e-3)  # chords of bends
     if shape != "straight":
         farthest = path.across_mm[np.abs(path.across_mm).argmax()]
         assert abs(farthest) == pytest.approx(abs(excursion_mm), rel=1e-4)

@@ -48,7 +48,7 @@ SPATIAL_TITLE = (
     "spatial_calibration_from_image_coordinate_system_to_tracking_tool_coordinate_system"
 )
 FOLDERS_UP = 4  # how far above a scan its calibration and landmarks may lie
-SUBJECT = re.compile(r"\d{3,}")
+SUBJECT = re.compile(r"(simulated-)?\d{3,}")
 
 
 def is_tusrec(path: str | os.PathLike) -> bool:

@@ -23,7 +23,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from itertools import product
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -31,15 +31,12 @@ from sonosweep.errors import ScanError
 from sonosweep.scan.split import PARTS, Split
 from sonosweep.simulate.bodies import BodyName, Side
 from sonosweep.simulate.motion import MotionSettings, Orientation
-from sonosweep.simulate.random_sweep import ProbeKind
 from sonosweep.simulate.seeds import FIRST_TEST_SUBJECT, generator, subject_name
 from sonosweep.simulate.sweep_path import SweepShape
-from sonosweep.simulate.sweep_settings import Modality
 
-DatasetName = Literal["dataset1", "dataset2", "dataset3"]
-DatasetSize = Literal["full", "small"]
 Part = Literal["train", "validation", "test"]
 
+SIZES = ("full", "small")
 MOST_SEEDS = 100
 SUBJECTS_PER_SEED = 100
 STEP_MM = 0.21  # mean of data set 1: 199.3 mm in 950 frames
@@ -59,7 +56,7 @@ class PlannedScan:
         part: What it is for.
         side: Which forearm.
         motion: Of the probe.
-        probe: Which probe.
+        probe: ``"linear"`` or ``"convex"``.
         pixels: Columns and rows of a frame.
         modalities: Companions beside B-mode.
         body: What is scanned.
@@ -71,9 +68,9 @@ class PlannedScan:
     part: Part
     side: Side
     motion: MotionSettings
-    probe: ProbeKind = "linear"
+    probe: str = "linear"
     pixels: tuple[int, int] = (256, 256)
-    modalities: tuple[Modality, ...] = ()
+    modalities: tuple[str, ...] = ()
     body: BodyName = "forearm"
 
     def digest(self) -> str:
@@ -112,14 +109,14 @@ class DatasetRecipe:
         return hashlib.sha256(facts.encode()).hexdigest()[:32]
 
 
-def dataset_recipe(name: DatasetName, size: DatasetSize = "full", seed: int = 0) -> DatasetRecipe:
+def dataset_recipe(name: str, size: str = "full", seed: int = 0) -> DatasetRecipe:
     """Return the recipe of a data set.
 
     Args:
-        name: Which one.
-        size: ``"small"`` has 128 x 128 pixels over the same field of view (data set 3:
-            320 x 240) and shorter scans; those of data set 1 for tests are as long as in
-            the full set.
+        name: ``"dataset1"``, ``"dataset2"`` or ``"dataset3"``.
+        size: ``"full"`` or ``"small"``, which has 128 x 128 pixels over the same field of
+            view (data set 3: 320 x 240) and shorter scans; those of data set 1 for tests are
+            as long as in the full set.
         seed: From 0 to 99.
 
     Raises:
@@ -127,7 +124,7 @@ def dataset_recipe(name: DatasetName, size: DatasetSize = "full", seed: int = 0)
     """
     if name not in RECIPES:
         raise ScanError(f"there is no data set '{name}'; known are {', '.join(RECIPES)}")
-    if size not in get_args(DatasetSize):
+    if size not in SIZES:
         raise ScanError(f"a data set is 'full' or 'small', got '{size}'")
     if not 0 <= seed < MOST_SEEDS:
         raise ScanError(f"the seed of a data set is from 0 to {MOST_SEEDS - 1}, got {seed}")

@@ -265,7 +265,7 @@ def _make(job: _Job, report: Report) -> None:
     """Make one scan; runs in a worker."""
     made = simulate_planned(job.scan, _body_of(job.scan), job.tracker)
     notes = {**made.notes, DIGEST_NOTE: job.scan.digest(), "part": job.scan.part}
-    scan = replace(_reporting(made, report), name=job.name, notes=notes)
+    scan = replace(with_reports(made, report), name=job.name, notes=notes)
     if job.layout == "tusrec":
         write_tusrec(scan, job.folder)
     else:
@@ -295,8 +295,8 @@ class _ReportingFrames(LazyFrames):
         return pixels
 
 
-def _reporting(scan: Scan, report: Report) -> Scan:
-    """Return the scan with frames that say when they are read."""
+def with_reports(scan: Scan, report: Report) -> Scan:
+    """Return the scan with frames that call ``report(1)`` when one is read."""
     companions = {
         name: Companion(
             _ReportingFrames(companion.frames, report), companion.spacing_mm, companion.origin_mm

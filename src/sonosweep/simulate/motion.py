@@ -5,7 +5,7 @@ middle of the array's face.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -85,6 +85,12 @@ class MotionSettings:
         Raises:
             ScanError: If one has no meaning, or the sweep is too long for its frames.
         """
+        if self.shape not in get_args(SweepShape) or self.orientation not in get_args(Orientation):
+            raise ScanError(
+                f"a sweep has a shape of {', '.join(get_args(SweepShape))} and an orientation of"
+                f" {' or '.join(get_args(Orientation))}, got '{self.shape}' and"
+                f" '{self.orientation}'"
+            )
         if not 1 <= self.frames <= MOST_FRAMES:
             raise ScanError(f"a sweep has from 1 to {MOST_FRAMES} frames, got {self.frames}")
         if not 0 <= self.pauses <= MOST_PAUSES:
@@ -145,9 +151,8 @@ class ProbeMotion:
         times = chosen.duration_s - times_s if chosen.backward else times_s
         length = np.interp(times, self.progress_s, self.progress_mm)
         hand = {name: _sum(signals, times) for name, signals in self.hand.items()}
-        across, along = self.path.at(length)
+        across, along, heading = self.path.at(length)
         across, along = across + self.start_mm[0], along + self.start_mm[1]
-        heading = self.path.heading_rad(length)
         yaw = chosen.turning * heading
         # Sideways drift leaves the line at a right angle to the way ahead.
         across = across + hand["lateral"] * np.cos(heading)

@@ -15,7 +15,13 @@ def generator(subject: int, scan: int, purpose: str) -> np.random.Generator:
 
     They depend on nothing else: not on the order in which scans are made, nor on what was
     drawn for another purpose.
+
+    Raises:
+        ScanError: If there is no such subject or scan.
     """
+    subject_name(subject)
+    if scan < 0:
+        raise ScanError(f"the number of a scan must be 0 or more, got {scan}")
     words = [subject, scan, *purpose.encode()]
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(words)))
 

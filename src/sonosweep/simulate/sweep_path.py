@@ -25,35 +25,26 @@ class SweepPath:
         lengths_mm: Along the line, from 0.
         across_mm: Position across the arm (body x) there.
         along_mm: Position along the arm (body z) there.
+        heading_rad: How far a hand that follows the line has turned there from along the
+            arm toward across it.
     """
 
     lengths_mm: Float[np.ndarray, " points"]
     across_mm: Float[np.ndarray, " points"]
     along_mm: Float[np.ndarray, " points"]
+    heading_rad: Float[np.ndarray, " points"]
 
     def at(
         self, length_mm: Float[np.ndarray, " places"]
-    ) -> tuple[Float[np.ndarray, " places"], Float[np.ndarray, " places"]]:
-        """Return the positions across and along the arm at these lengths."""
-        return (
-            np.interp(length_mm, self.lengths_mm, self.across_mm),
-            np.interp(length_mm, self.lengths_mm, self.along_mm),
-        )
-
-    def heading_rad(self, length_mm: Float[np.ndarray, " places"]) -> Float[np.ndarray, " places"]:
-        """Return how far a hand that follows the line turns from along the arm to across it."""
-        heading = np.arctan2(
-            np.gradient(self.across_mm, self.lengths_mm),
-            np.gradient(self.along_mm, self.lengths_mm),
-        )
-        spacing_mm = self.lengths_mm[-1] / (len(self.lengths_mm) - 1)
-        heading = gaussian_filter1d(heading, SLOW_TURN_MM / spacing_mm, mode="nearest")
-        return np.interp(length_mm, self.lengths_mm, heading)
+    ) -> tuple[Float[np.ndarray, " places"], ...]:
+        """Return the positions across and along the arm, and the heading, at these lengths."""
+        values = (self.across_mm, self.along_mm, self.heading_rad)
+        return tuple(np.interp(length_mm, self.lengths_mm, value) for value in values)
 
     @property
     def sharpest_rad_per_mm(self) -> float:
         """Largest turn per length."""
-        return float(np.abs(np.gradient(self.heading_rad(self.lengths_mm), self.lengths_mm)).max())
+        return float(np.abs(np.gradient(self.heading_rad, self.lengths_mm)).max())
 
 
 def sweep_path(shape: SweepShape, length_mm: float, excursion_mm: float) -> SweepPath:
@@ -72,8 +63,10 @@ def sweep_path(shape: SweepShape, length_mm: float, excursion_mm: float) -> Swee
         across, along = _corner(length_mm, excursion_mm)
     else:
         across, along = _wave(shape, length_mm, excursion_mm)
-    steps = np.hypot(np.diff(across), np.diff(along))
-    return SweepPath(np.concatenate([[0.0], np.cumsum(steps)]), across, along)
+    lengths = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(across), np.diff(along)))])
+    heading = np.arctan2(np.gradient(across, lengths), np.gradient(along, lengths))
+    slow = min(SLOW_TURN_MM / lengths[-1], 0.5) * POINTS
+    return SweepPath(lengths, across, along, gaussian_filter1d(heading, slow, mode="nearest"))
 
 
 def _wave(

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from scipy.special import ndtri
 
 SINUSOIDS = 48
+AT_A_TIME = 4096  # times, so that little memory is needed
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +26,12 @@ class Wander:
 
     def __call__(self, times_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
         """Return the signal at these times."""
-        signal = np.zeros(len(times_s))
-        for rate, phase in zip(self.rates_rad_per_s, self.phases_rad, strict=True):
-            signal += np.cos(rate * times_s + phase)
-        return self.amplitude * signal
+        signal = np.empty(len(times_s))
+        for first in range(0, len(times_s), AT_A_TIME):
+            some = slice(first, first + AT_A_TIME)
+            angles = times_s[some, None] * self.rates_rad_per_s + self.phases_rad
+            signal[some] = self.amplitude * np.cos(angles).sum(axis=1)
+        return signal
 
 
 def slow_wander(generator: np.random.Generator, deviation: float, scale_s: float) -> Wander:

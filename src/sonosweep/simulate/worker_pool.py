@@ -59,9 +59,9 @@ def run_jobs(work: Work, jobs: Sequence[Any], workers: int, report: Report) -> N
         for connection in processes:
             connection.send(waiting.popleft())
         _attend(processes, waiting, report)
-        for connection, process in processes.items():
+        for connection, worker in processes.items():
             connection.close()  # which tells the worker that there is no more
-            process.join(PATIENCE_S)
+            worker.join(PATIENCE_S)
     finally:
         _stop(processes)
 
