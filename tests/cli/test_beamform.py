@@ -107,6 +107,11 @@ def with_nan():
     return replace(sweep, photoacoustic=replace(sweep.photoacoustic, samples=samples))
 
 
+def echoes_only():
+    """Return the sweep with B-mode alone."""
+    return replace(made.sweep(), power_doppler=None, photoacoustic=None)
+
+
 @pytest.mark.parametrize(
     ("sweep", "words", "sentence"),
     [
@@ -117,6 +122,8 @@ def with_nan():
         (made.sweep, ("--dynamic-range-db", "0"), "dynamic range"),
         (made.sweep, ("--photoacoustic-band-mhz", "2", "30"), "must lie between 0 and 1e+07 Hz"),
         (made.sweep, ("--rows", "9", "--depth-mm", "9", "--columns", "9"), "only one of --rows"),
+        (echoes_only, ("--clutter-rank", "2"), "no power Doppler data for --clutter-rank"),
+        (echoes_only, ("--photoacoustic-band-mhz", "1", "8"), "no photoacoustic data for"),
         (with_nan, (), "frame 2: samples of 'points' are not all numbers"),
     ],
 )

@@ -40,9 +40,10 @@ class BeamformingOptions:
         sound_speed: In the medium, m/s; what the file says otherwise.
         f_number: Depth over width of the receive aperture, or "all" elements. Otherwise 1.5
             for echoes, 1 for photoacoustics, and all in an array that surrounds the body.
-        dynamic_range_db: Of B-mode.
-        power_doppler_range_db: Of power Doppler.
-        clutter_rank: How many slow-time components of an ensemble are tissue.
+        dynamic_range_db: Of B-mode; 60 otherwise, and 40 where photoacoustic frames stand in.
+        power_doppler_range_db: Of power Doppler; 30 otherwise.
+        clutter_rank: How many slow-time components of an ensemble are tissue, or "auto", as
+            otherwise.
         photoacoustic_band_mhz: Lower and upper edge of what to keep of photoacoustic samples.
         wavelength_nm: Which frames of a photoacoustic recording of several wavelengths.
         amplitude: Keep the amplitude before log compression as well.
@@ -50,9 +51,9 @@ class BeamformingOptions:
 
     sound_speed: float | None = None
     f_number: float | Literal["all"] | None = None
-    dynamic_range_db: float = 60.0
-    power_doppler_range_db: float = 30.0
-    clutter_rank: int | Literal["auto"] = "auto"
+    dynamic_range_db: float | None = None
+    power_doppler_range_db: float | None = None
+    clutter_rank: int | Literal["auto"] | None = None
     photoacoustic_band_mhz: Annotated[tuple[float, float] | None, Parameter(negative="")] = None
     wavelength_nm: float | None = None
     amplitude: Annotated[bool, Parameter(negative="")] = False

@@ -10,6 +10,7 @@ import numpy as np
 from sonosweep.cli.beamform import BeamformingOptions, PixelOptions
 from sonosweep.cli.output import check_free
 from sonosweep.cli.progress import progress
+from sonosweep.errors import ScanError
 from sonosweep.imaging.beamform import BeamformSettings
 from sonosweep.imaging.field_of_view import field_of_view, surrounding_radius_mm
 from sonosweep.imaging.sweep import SweepImaging, beamform_sweep
@@ -44,6 +45,7 @@ def run_beamform(
     """
     check_free(output, force)
     sweep = open_channel_data(data, wavelength_nm=options.wavelength_nm)
+    _refuse_idle(sweep, options)
     beside = poses_beside(output)
     if beside is not None and sweep.image_to_reference is not None:
         check_free(beside, force)
@@ -67,6 +69,19 @@ def run_beamform(
     }
 
 
+def _refuse_idle(sweep: ChannelSweep, options: BeamformingOptions) -> None:
+    """Refuse options that have nothing to act on: nobody shall think that they did."""
+    about = {
+        "power_doppler": ("clutter_rank", "power_doppler_range_db"),
+        "photoacoustic": ("photoacoustic_band_mhz", "wavelength_nm"),
+    }
+    for modality, names in about.items():
+        given = next((name for name in names if getattr(options, name) is not None), None)
+        if given is not None and modality not in modalities(sweep):
+            option, told = given.replace("_", "-"), MODALITY_NAMES[modality]
+            raise ScanError(f"'{sweep.name}' holds no {told} data for --{option} to act on")
+
+
 def _imaging(
     sweep: ChannelSweep, pixels: PixelOptions, options: BeamformingOptions
 ) -> SweepImaging:
@@ -74,7 +89,7 @@ def _imaging(
     first = next(iter(modalities(sweep).values()))
     speed = BeamformSettings(sound_speed_m_per_s=options.sound_speed).sound_speed_m_per_s
     first = first if speed is None else replace(first, sound_speed_m_per_s=speed)
-    band_mhz = options.photoacoustic_band_mhz
+    band_mhz, doppler_db = options.photoacoustic_band_mhz, options.power_doppler_range_db
     surrounded = surrounding_radius_mm(first.probe) is not None
 
     def settings(usual: float) -> BeamformSettings:
@@ -89,8 +104,8 @@ def _imaging(
         photoacoustic=settings(PHOTOACOUSTIC_F_NUMBER),
         photoacoustic_band_hz=band_mhz and (band_mhz[0] * 1e6, band_mhz[1] * 1e6),
         b_mode_range_db=options.dynamic_range_db,
-        power_doppler_range_db=options.power_doppler_range_db,
-        clutter_rank=options.clutter_rank,
+        power_doppler_range_db=30.0 if doppler_db is None else doppler_db,
+        clutter_rank="auto" if options.clutter_rank is None else options.clutter_rank,
         keep_amplitude=options.amplitude,
         threads=thread_count(None),
     )

@@ -45,8 +45,7 @@ LARGEST_TABLE_BYTES = 1 << 30
 SAMPLED_FRAMES = 7
 """So many frames, spread over the sweep, say which amplitude is white."""
 WHITE_PERCENTILE = 99.9
-PHOTOACOUSTIC_RANGE_DB = 40.0
-"""Of the frames of a sweep that has nothing but photoacoustics."""
+B_MODE_RANGE_DB, PHOTOACOUSTIC_RANGE_DB = 60.0, 40.0
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,8 @@ class SweepImaging:
         photoacoustic: Beamforming of photoacoustic frames.
         photoacoustic_band_hz: What to keep of photoacoustic samples; ``None`` filters
             nothing but what demodulation does.
-        b_mode_range_db: Between black and white.
+        b_mode_range_db: Between black and white; ``None``: 60 dB for echoes, 40 dB where
+            photoacoustic frames stand in for them.
         power_doppler_range_db: Between black and white.
         b_mode_white: Amplitude that is white; ``None`` measures it, once for the sweep.
         power_doppler_white: The same for the square root of power.
@@ -72,7 +72,7 @@ class SweepImaging:
     echoes: BeamformSettings = DEFAULT_SETTINGS
     photoacoustic: BeamformSettings = ONE_WAY_SETTINGS
     photoacoustic_band_hz: tuple[float, float] | None = None
-    b_mode_range_db: float = 60.0
+    b_mode_range_db: float | None = None
     power_doppler_range_db: float = 30.0
     b_mode_white: float | None = None
     power_doppler_white: float | None = None
@@ -86,8 +86,9 @@ class SweepImaging:
         Raises:
             ScanError: If a range or white is not positive.
         """
+        b_mode_range_db = 1.0 if self.b_mode_range_db is None else self.b_mode_range_db
         for white, range_db in (
-            (self.b_mode_white, self.b_mode_range_db),
+            (self.b_mode_white, b_mode_range_db),
             (self.power_doppler_white, self.power_doppler_range_db),
         ):
             check_compression(1.0 if white is None else white, range_db)
@@ -119,7 +120,8 @@ def beamform_sweep(sweep: ChannelSweep, settings: SweepImaging | None = None) ->
     count = _frame_count(sweep)
     if chosen.keep_amplitude:
         companions["amplitude"] = _Images(b_mode, count, chosen.grid, np.dtype(np.float32))
-    range_db = chosen.b_mode_range_db if _has_echoes(sweep) else PHOTOACOUSTIC_RANGE_DB
+    usual_db = B_MODE_RANGE_DB if _has_echoes(sweep) else PHOTOACOUSTIC_RANGE_DB
+    range_db = usual_db if chosen.b_mode_range_db is None else chosen.b_mode_range_db
     frames, scale = _gray(b_mode, count, chosen.grid, range_db, chosen.b_mode_white)
     notes["b_mode"] = f"{made}; {scale}"
     if "power_doppler" in images:
