@@ -69,54 +69,64 @@ class TorchSplat:
         self, seen: SeenCells, affine: np.ndarray, arteries: np.ndarray, grid: Tensor
     ) -> None:
         """Add the echoes of cells to the fine grid of one frame."""
-        cells = _cells(seen, affine, self._first, self._voxels, self._fine)
-        cell, rank = _members(torch.from_numpy(seen.place[:, 5].astype(np.int64)), self._device)
-        of = _Cells(*(torch.from_numpy(value).to(self._device)[cell] for value in cells))
-        offsets = self._offsets[:, of.first + rank] * of.mirror.T
-        x, y, z = (of.turn * offsets.T[:, None]).sum(2).T
+        arrays = _cells(seen, affine, self._first, self._voxels, self._fine)
+        cells = _Cells(*(torch.from_numpy(value).to(self._device) for value in arrays))
+        cell, rank = _members(cells.members)
+        turn = affine[:3, :3].tolist()
+        offsets = self._offsets[:, cells.first[cell] + rank] * cells.mirror.T[:, cell]
+        x, y, z = (row[0] * offsets[0] + row[1] * offsets[1] + row[2] * offsets[2] for row in turn)
         if len(arteries):
-            dx, dy = _push(of.center[:, 0].double() + x, of.center[:, 1].double() + y, arteries)
+            middle = cells.center[:, cell].double()
+            dx, dy = _push(middle[0] + x, middle[1] + y, arteries)
             x, y = x + dx.float(), y + dy.float()
-        u, y = self._across(of, x, y)
-        v = of.pixel[:, 1] + y * self._fine.per_step[1]
-        real, imaginary, exponent = self._echo(of, rank, y, of.center[:, 2] + z)
-        amplitude = self._tissue(of, offsets)
+        u, y = self._across(cells, cell, x, y)
+        v = cells.pixel[1][cell] + y * self._fine.per_step[1]
+        z = cells.center[2][cell] + z
         rows, columns = self._spread.shape
         face = max(0.0, -self._fine.origin[1] * self._fine.per_step[1])
-        kept = (exponent < REACH_EXPONENT) & (amplitude > 0) & (u >= 0) & (u < columns - 1)
-        kept &= (v >= face) & (v < rows - 1)
-        echo = torch.stack([real * amplitude, imaginary * amplitude], 1)[kept]
-        _share(grid, columns, u[kept], v[kept], echo)
+        inside = (u >= 0) & (u < columns - 1) & (v >= face) & (v < rows - 1)
+        kept = torch.nonzero(inside & (self._exponent(cells, cell, y, z) < REACH_EXPONENT))[:, 0]
+        cell, u, v = cell[kept], u[kept], v[kept]
+        real, imaginary = self._echo(cells, cell, rank[kept], y[kept], z[kept])
+        amplitude = self._tissue(cells, cell, offsets[:, kept])
+        _share(grid, columns, u, v, torch.stack([real * amplitude, imaginary * amplitude], 1))
 
-    def _across(self, of: "_Cells", x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    def _across(self, cells: "_Cells", cell: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Lateral fine pixel, and depth from that of the cell's middle."""
         if self._fine.radius_mm == 0:
-            return of.pixel[:, 0] + x * self._fine.per_step[0], y
-        cx, cy = of.center[:, 0], of.center[:, 1] + self._fine.radius_mm
+            return cells.pixel[0][cell] + x * self._fine.per_step[0], y
+        cx, cy = cells.center[0][cell], cells.center[1][cell] + self._fine.radius_mm
+        distance = cells.distance[cell]
         more = 2 * (cx * x + cy * y) + x * x + y * y
-        far = (of.distance**2 + more).clamp(min=0).sqrt()
+        far = (distance**2 + more).clamp(min=0).sqrt()
         angle = 2 * torch.atan((cx + x) / (far + (cy + y).clamp(min=0)))
         u = (angle - self._fine.origin[0]) * self._fine.per_step[0]
-        return u, more / (far + of.distance)
+        return u, more / (far + distance)
+
+    def _exponent(self, cells: "_Cells", cell: Tensor, y: Tensor, z: Tensor) -> Tensor:
+        """Exponent of the two-way amplitude across the slice."""
+        t = (cells.below[cell] + y) * self._fine.per_range
+        return z * z * self._fine.slice_exponent / (1 + t * t)
 
     def _echo(
-        self, of: "_Cells", rank: Tensor, y: Tensor, z: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Real and imaginary part of the echo, and its exponent across the slice."""
-        fine = self._fine
-        deep = of.below + y
-        inverse = 1 / (1 + (deep * fine.per_range) ** 2)
-        exponent = z * z * inverse * fine.slice_exponent
-        top, slope = of.gain[:, 1], of.gain[:, 2]
-        weight = torch.exp(-exponent) * torch.minimum(of.gain[:, 0], top - slope * rank)
-        curved = (z * z).clamp(max=400) * deep * inverse * fine.curve_turns
-        turns = of.turns + y * fine.turns_per_mm + curved
+        self, cells: "_Cells", cell: Tensor, rank: Tensor, y: Tensor, z: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Real and imaginary part of the echo of amplitude 1."""
+        fine, deep = self._fine, cells.below[cell] + y
+        most, top, slope = cells.gain.T[:, cell]
+        weight = torch.exp(-self._exponent(cells, cell, y, z))
+        weight = weight * torch.minimum(most, top - slope * rank)
+        curved = z * z * deep * fine.curve_turns / (1 + (deep * fine.per_range) ** 2)
+        turns = cells.turns[cell] + y * fine.turns_per_mm + curved
         angle = (turns - turns.round()) * (2 * math.pi)
-        return weight * torch.cos(angle), -weight * torch.sin(angle), exponent
+        return weight * torch.cos(angle), -weight * torch.sin(angle)
 
-    def _tissue(self, of: "_Cells", offsets: Float32[Tensor, "3 n"]) -> Float32[Tensor, " n"]:
+    def _tissue(
+        self, cells: "_Cells", cell: Tensor, offsets: Float32[Tensor, "3 n"]
+    ) -> Float32[Tensor, " n"]:
         """Amplitude of the tissue at scatterers."""
-        near = (of.voxel + offsets.T / self._voxels.spacing_mm).int().long() + of.corner
+        local = cells.voxel[cell] + offsets.T / self._voxels.spacing_mm
+        near = local.int() + cells.corner[cell]
         size = torch.tensor(self._codes.shape[::-1], device=self._device)
         inside = ((near >= 0) & (near < size)).all(1)
         x, y, z = torch.minimum(near.clamp(min=0), size - 1).T
@@ -144,19 +154,22 @@ class TorchSplat:
 
 
 class _Cells(NamedTuple):
-    """What the scatterers of a cell have in common, a row per cell or per scatterer."""
+    """What the scatterers of a cell have in common.
 
+    One row per cell, but ``center`` and ``pixel``, which have one row per axis.
+    """
+
+    members: Tensor
     first: Tensor
+    corner: Tensor
     mirror: Tensor
-    turn: Tensor
+    voxel: Tensor
+    gain: Tensor
     center: Tensor
+    pixel: Tensor
     distance: Tensor
     below: Tensor
     turns: Tensor
-    pixel: Tensor
-    voxel: Tensor
-    corner: Tensor
-    gain: Tensor
 
 
 def _cells(
@@ -172,10 +185,10 @@ def _cells(
     pixel = (np.stack([center[:, 0], depth], 1) - fine.origin) * fine.per_step
     at = (middle - voxels.origin_mm) / voxels.spacing_mm + 0.5
     corner = np.floor(at - 0.5 * CELL_MM / voxels.spacing_mm).astype(np.int64) - 1
-    turn = np.broadcast_to(affine[:3, :3], (len(center), 3, 3))
-    single = [mirror, turn, center, distance, depth - fine.focus_mm, turns - np.floor(turns)]
-    singles = [np.asarray(value, np.float32) for value in (*single, pixel, at - corner)]
-    return (first[seen.place[:, 3]], *singles, corner, seen.gain)
+    integers = seen.place[:, 5].astype(np.int64), first[seen.place[:, 3]], corner
+    singles = mirror, at - corner, seen.gain, center.T, pixel.T, distance
+    rest = depth - fine.focus_mm, turns - np.floor(turns)
+    return (*integers, *(np.ascontiguousarray(value, np.float32) for value in (*singles, *rest)))
 
 
 def _parts(seen: SeenCells) -> Iterator[SeenCells]:
@@ -185,14 +198,11 @@ def _parts(seen: SeenCells) -> Iterator[SeenCells]:
         yield SeenCells(seen.place[group == chosen], seen.gain[group == chosen])
 
 
-def _members(
-    counts: Int64[Tensor, " cells"], device: str
-) -> tuple[Int64[Tensor, " n"], Int64[Tensor, " n"]]:
+def _members(counts: Int64[Tensor, " cells"]) -> tuple[Int64[Tensor, " n"], Int64[Tensor, " n"]]:
     """Cell of each scatterer, and its number in that cell."""
-    counts = counts.to(device)
     cell = torch.repeat_interleave(counts)
     before = counts.cumsum(0) - counts
-    return cell, torch.arange(len(cell), device=device) - before[cell]
+    return cell, torch.arange(len(cell), device=counts.device) - before[cell]
 
 
 def _push(x: Tensor, y: Tensor, arteries: np.ndarray) -> tuple[Tensor, Tensor]:
