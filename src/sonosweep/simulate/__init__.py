@@ -13,13 +13,18 @@ from sonosweep.simulate.channels import (
 )
 from sonosweep.simulate.deformation import STILL, Deformation, PulsingArtery
 from sonosweep.simulate.doppler_frames import DopplerSettings
+from sonosweep.simulate.forearm import forearm
+from sonosweep.simulate.motion import MotionSettings, sweep_poses
+from sonosweep.simulate.phantoms import cyst_phantom, uniform_phantom, vessel_phantom, wire_phantom
 from sonosweep.simulate.photoacoustic_frames import PhotoacousticSettings
 from sonosweep.simulate.probes import linear_probe, linear_probe_l11_5v
 from sonosweep.simulate.random_sweep import draw_sweep
 from sonosweep.simulate.scanner import Scanner
 from sonosweep.simulate.seeds import FIRST_TEST_SUBJECT, refuse_test_subjects
+from sonosweep.simulate.speckle import SpeckleRenderer, render_points
 from sonosweep.simulate.sweep import simulate_sweep
 from sonosweep.simulate.sweep_settings import SweepSettings
+from sonosweep.simulate.tracker import TrackerSettings
 
 __all__ = [
     "FIRST_TEST_SUBJECT",
@@ -32,20 +37,30 @@ __all__ = [
     "ChannelSweepSettings",
     "Deformation",
     "DopplerSettings",
+    "MotionSettings",
     "PhotoacousticSettings",
     "PulsingArtery",
     "Scanner",
+    "SpeckleRenderer",
     "SweepSettings",
     "Tissue",
+    "TrackerSettings",
     "Vessel",
+    "cyst_phantom",
     "draw_sweep",
+    "forearm",
     "linear_probe",
     "linear_probe_l11_5v",
     "plane_wave_delays",
     "refuse_test_subjects",
+    "render_points",
     "simulate_channel_sweep",
     "simulate_ensemble",
     "simulate_photoacoustic",
     "simulate_plane_waves",
     "simulate_sweep",
+    "sweep_poses",
+    "uniform_phantom",
+    "vessel_phantom",
+    "wire_phantom",
 ]
