@@ -330,6 +330,12 @@ def test_a_frame_that_needs_too_much_memory_is_refused() -> None:
         SpeckleRenderer(block(), BEAM, centered_grid(9000, 9000, (0.1, 0.1)), seed=0)
 
 
+def test_a_sector_has_a_front() -> None:
+    """Lines that point sideways or back are no image of a convex probe."""
+    with pytest.raises(ScanError, match="sector of 190 degrees"):
+        SpeckleRenderer(block(), BEAM, SectorGrid(20, 30, np.pi / 18, 0.2, 0.0, 40.0), seed=0)
+
+
 def test_pulsating_arteries_at_rest_change_nothing() -> None:
     """A dilation of 0 is no deformation, to the bit."""
     renderer = SpeckleRenderer(block(), BEAM, SMALL, seed=0)

@@ -14,6 +14,8 @@ FINE_STEPS_PER_WIDTH = 4.4
 """Fine pixels per full width at half maximum: fewer decorrelate what moves between pixels."""
 REACH = 3.5
 """Standard deviations after which the point spread function is cut off (0.2 % of its peak)."""
+WIDEST_RAD = math.radians(70)
+"""From a sector's middle to its outermost line."""
 MOST_FINE_PIXELS = 64_000_000
 REFERENCE_CELL_MM3 = Beam().axial_fwhm_mm * Beam().lateral_fwhm_mm * Beam().elevation_waist_mm
 """Resolution cell of the default beam at its focus, up to a factor."""
@@ -54,10 +56,15 @@ def point_spread(grid: PixelGrid | SectorGrid, beam: Beam) -> PointSpread:
     """Return a beam's point spread function for frames on a grid.
 
     Raises:
-        ScanError: If the radii of grid and beam differ, or the grid is far too large.
+        ScanError: If the radii of grid and beam differ, or the grid is far too large or wide.
     """
     size, spacing, first, radius = _layout(grid)
     _check_radius(beam, radius)
+    if radius > 0 and abs(first[0]) > WIDEST_RAD:
+        raise ScanError(
+            f"a sector of {2 * math.degrees(abs(first[0])):.0f} degrees is wider than"
+            f" {2 * math.degrees(WIDEST_RAD):.0f}: use fewer lines or a smaller angle between them"
+        )
     lateral_width = beam.lateral_fwhm_mm
     if radius > 0:
         lateral_width /= radius + beam.sector_depth_mm
