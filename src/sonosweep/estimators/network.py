@@ -1,0 +1,167 @@
+"""What every motion network takes and gives.
+
+A network reads a window of frames and gives the motion of each step in it, in units in which
+each of the six numbers varies by about 1 (:class:`sonosweep.estimators.weights.Weights` holds
+the scale). Two kinds differ in what may be computed once and kept: a
+:class:`RecurrentNetwork` encodes each frame once, compares each pair once and carries a
+state; a :class:`WindowNetwork` looks at a whole window at a time.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from sonosweep.errors import ScanError
+
+Frames = Float[Tensor, "batch frames channels rows columns"]
+
+
+@dataclass(frozen=True)
+class FrameShape:
+    """What a network reads.
+
+    Attributes:
+        channels: Per frame: 1 for B-mode, 3 for B-mode and IQ.
+        rows: Pixels along the axial axis.
+        columns: Pixels along the lateral axis.
+    """
+
+    channels: int = 1
+    rows: int = 256
+    columns: int = 256
+
+    def __post_init__(self) -> None:
+        """Check that there are pixels enough for a network to look at.
+
+        Raises:
+            ScanError: If not.
+        """
+        if self.channels < 1 or min(self.rows, self.columns) < 32:
+            raise ScanError(
+                f"a network reads at least 1 channel of 32 x 32 pixels, got {self.channels} of"
+                f" {self.rows} x {self.columns}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkOutput:
+    """What a network says about a window.
+
+    Attributes:
+        motion: Of each step, in scaled units.
+        heads: Each prediction that is trained against the truth; the mean of them, or one
+            of them, is ``motion``.
+        embedding: Features of the last step, for the triplet loss; ``None`` if the paper
+            of this network contrasts none.
+        log_variance: Of each number of ``motion``; ``None`` unless asked for.
+        maps: What can be looked at, by name, such as ``"attention"``.
+    """
+
+    motion: Float[Tensor, "batch steps motion=6"]
+    heads: tuple[Float[Tensor, "batch steps motion=6"], ...]
+    embedding: Float[Tensor, "batch features"] | None = None
+    log_variance: Float[Tensor, "batch steps motion=6"] | None = None
+    maps: Mapping[str, Tensor] = field(default_factory=dict)
+
+
+class MotionNetwork(nn.Module, ABC):
+    """Frames to motions."""
+
+    frame_shape: FrameShape
+
+    @abstractmethod
+    def forward(self, frames: Frames) -> NetworkOutput:
+        """Return the motion of each step of windows of frames, values within 0 and 1."""
+
+
+class WindowNetwork(MotionNetwork):
+    """A network that looks at ``window`` frames at once, and at nothing before them."""
+
+    window: int
+
+
+class RecurrentNetwork(MotionNetwork):
+    """A network whose answer about a step depends on it and on what came before.
+
+    ``forward`` is what the three parts give on a window, so that frame by frame and the
+    whole window at once are the same.
+    """
+
+    @abstractmethod
+    def encode(self, frames: Float[Tensor, "batch channels rows columns"]) -> tuple[Tensor, ...]:
+        """Return the features of single frames, the batch first in each."""
+
+    @abstractmethod
+    def compare(
+        self,
+        first: tuple[Tensor, ...],
+        second: tuple[Tensor, ...],
+    ) -> tuple[Tensor, ...]:
+        """Return what is known about steps from the features of their two frames."""
+
+    @abstractmethod
+    def regress(
+        self, pairs: tuple[Tensor, ...], state: tuple[Tensor, ...] | None
+    ) -> tuple[NetworkOutput, tuple[Tensor, ...]]:
+        """Return motions from what is known about steps, ``(batch, steps, ...)`` each.
+
+        Args:
+            pairs: What ``compare`` gave, with an axis for steps.
+            state: What the last call gave; ``None`` at the start of a sweep.
+        """
+
+    def forward(self, frames: Frames) -> NetworkOutput:
+        """Return the motion of each step of windows of frames, values within 0 and 1."""
+        batch, count = frames.shape[:2]
+        features = [part.unflatten(0, (batch, count)) for part in self.encode(frames.flatten(0, 1))]
+        pairs = self.compare(
+            tuple(part[:, :-1].flatten(0, 1) for part in features),
+            tuple(part[:, 1:].flatten(0, 1) for part in features),
+        )
+        steps = tuple(part.unflatten(0, (batch, count - 1)) for part in pairs)
+        return self.regress(steps, None)[0]
+
+
+class Stepper:
+    """Runs a network frame by frame; memory does not grow with the sweep.
+
+    Args:
+        network: In evaluation mode.
+    """
+
+    def __init__(self, network: MotionNetwork) -> None:
+        self._network = network
+        self._features: tuple[Tensor, ...] | None = None
+        self._state: tuple[Tensor, ...] | None = None
+        self._frames: list[Tensor] = []
+
+    @torch.inference_mode()
+    def push(self, frame: Float[Tensor, "channels rows columns"]) -> NetworkOutput | None:
+        """Return what the network says about the step to this frame; ``None`` for the first."""
+        if isinstance(self._network, RecurrentNetwork):
+            return self._push_recurrent(self._network, frame[None])
+        assert isinstance(self._network, WindowNetwork)
+        return self._push_window(self._network, frame)
+
+    def _push_recurrent(self, network: RecurrentNetwork, frame: Tensor) -> NetworkOutput | None:
+        features = network.encode(frame)
+        before, self._features = self._features, features
+        if before is None:
+            return None
+        pairs = tuple(part[:, None] for part in network.compare(before, features))
+        output, self._state = network.regress(pairs, self._state)
+        return output
+
+    def _push_window(self, network: WindowNetwork, frame: Tensor) -> NetworkOutput | None:
+        # As the released code does, the first frame stands for those before the sweep.
+        first = not self._frames
+        self._frames = [*(self._frames or [frame] * (network.window - 1)), frame]
+        self._frames = self._frames[-network.window :]
+        if first:
+            return None
+        output = network(torch.stack(self._frames)[None])
+        return NetworkOutput(output.motion[:, -1:], tuple(h[:, -1:] for h in output.heads))
