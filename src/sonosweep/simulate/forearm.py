@@ -182,17 +182,20 @@ def _in_body(arm: _Arm, vessel: Vessel) -> list[Vessel]:
     points = np.column_stack((arm.mirror * across, y, arm.direction * (along - ARM_LENGTH_MM / 2)))
     first = np.array(arm.origin_mm)
     last = first + arm.spacing_mm * (np.array(arm.counts) - 1)
-    inside = np.all((points >= first) & (points <= last), axis=1)
+    nodes = np.column_stack((points, vessel.radius_mm))
+    pieces = [_piece(nodes, run, first, last) for run in _runs(_inside(points, first, last))]
     return [
-        Vessel(
-            vessel.name,
-            vessel.kind,
-            points[piece],
-            vessel.radius_mm[piece],
-            vessel.mean_speed_mm_per_s,
-        )
-        for piece in _runs(inside)
+        Vessel(vessel.name, vessel.kind, piece[:, :3], piece[:, 3], vessel.mean_speed_mm_per_s)
+        for piece in pieces
     ]
+
+
+def _inside(
+    points: Float[np.ndarray, "points xyz=3"],
+    first: Float[np.ndarray, "xyz=3"],
+    last: Float[np.ndarray, "xyz=3"],
+) -> Bool[np.ndarray, " points"]:
+    return np.all((points >= first) & (points <= last), axis=1)
 
 
 def _runs(inside: Bool[np.ndarray, " points"]) -> list[slice]:
@@ -203,3 +206,36 @@ def _runs(inside: Bool[np.ndarray, " points"]) -> list[slice]:
         for begin, end in zip(edges[::2], edges[1::2], strict=True)
         if end - begin > 1
     ]
+
+
+def _piece(
+    nodes: Float[np.ndarray, "points 4"],
+    run: slice,
+    first: Float[np.ndarray, "xyz=3"],
+    last: Float[np.ndarray, "xyz=3"],
+) -> Float[np.ndarray, "piece 4"]:
+    """Return points and radii that are inside, up to where the line leaves the box."""
+    parts = [nodes[run]]
+    if run.start > 0:
+        parts.insert(0, _leaving(nodes[run.start], nodes[run.start - 1], first, last))
+    if run.stop < len(nodes):
+        parts.append(_leaving(nodes[run.stop - 1], nodes[run.stop], first, last))
+    return np.concatenate(parts)
+
+
+def _leaving(
+    inner: Float[np.ndarray, " 4"],
+    outer: Float[np.ndarray, " 4"],
+    first: Float[np.ndarray, "xyz=3"],
+    last: Float[np.ndarray, "xyz=3"],
+) -> Float[np.ndarray, "nodes 4"]:
+    """Return the node on the side of the box between one inside and one outside.
+
+    None, if the inside one is there already.
+    """
+    step = outer[:3] - inner[:3]
+    room = np.where(step > 0, last - inner[:3], first - inner[:3])
+    shares = np.divide(room, step, out=np.ones(3), where=step != 0)
+    share = min(shares.min(), 1.0)
+    node = inner + share * (outer - inner)
+    return node[None] if share > 1e-3 else np.empty((0, 4))

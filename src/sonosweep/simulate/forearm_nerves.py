@@ -65,7 +65,7 @@ def draw_nerves(
     size = generator.uniform(0.85, 1.15)
     apart = 1.6 + size * 1.8 + ULNAR_GAP_MM + 0.06 * np.maximum(along_mm - 120, 0)
     paths = (
-        path_through(arm, along_mm, median),
+        path_through(arm, along_mm, np.array(median)),
         np.column_stack((beside[:, 0] - apart, beside[:, 1] + 0.5, along_mm)),
     )
     sizes = (generator.uniform(2.2, 3.0), 1.8 * size)

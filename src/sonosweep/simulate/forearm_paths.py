@@ -15,7 +15,7 @@ from sonosweep.simulate.body import Vessel
 from sonosweep.simulate.forearm_shape import ArmShape
 
 Points = Float[np.ndarray, "points xyz=3"]
-Stations = Sequence[tuple[float, float, float]]
+Stations = Float[np.ndarray, "stations 3"]
 
 BONE_GAP_MM = 1.0  # between a bone and the lumen of a vessel
 WALLS_MM = 0.7  # between two lumens: their walls and what is between them
@@ -34,7 +34,7 @@ def path_through(
         stations: What it passes, in ascending order: mm from the wrist, half widths of the
             arm toward the thumb, and mm beneath the deep fascia.
     """
-    places, across, depth = np.array(stations).T
+    places, across, depth = stations.T
     x = PchipInterpolator(places, across)(along_mm) * arm.half_width_mm(along_mm)
     y = fascia_y(arm, x, along_mm) + PchipInterpolator(places, depth)(along_mm)
     return np.stack((x, y, along_mm), axis=1)

@@ -67,7 +67,7 @@ def _draw_arteries(generator: np.random.Generator, arm: ArmShape) -> tuple[Vesse
 
 def _trunk(generator, arm, name, along, stations, radius_mm, fork):
     """Return an artery; all wander less near the fork, where they meet."""
-    points = path_through(arm, along, stations)
+    points = path_through(arm, along, np.array(stations, np.float64))
     free = np.clip(np.abs(along - fork) / 25, 0, 1)
     points[:, 0] += 1.2 * free * draw_noise(generator, 25.0)(along)
     points[:, 1] += 0.6 * free * draw_noise(generator, 20.0)(along)
