@@ -96,6 +96,7 @@ def test_the_end_does_not_reach_the_beginning():
     ("samples", "arguments", "message"),
     [
         (np.ones(9) * 1j, (24e6, 6e6), "IQ already"),
+        (np.ones((3, 0)), (24e6, 6e6), "no samples"),
         (np.full(9, np.nan), (24e6, 6e6), "not all numbers"),
         (np.ones(9), (0.0, 6e6), "sampling frequency must be above 0"),
         (np.ones(9), (24e6, -1.0), "demodulation frequency must be above 0"),
@@ -110,5 +111,5 @@ def test_samples_that_cannot_be_demodulated_are_refused(samples, arguments, mess
 
 def test_too_few_samples_are_refused():
     """Decimation keeps the band, or nothing."""
-    with pytest.raises(ScanError, match=r"decimation by 4 leaves 6e\+06 Hz"):
+    with pytest.raises(ScanError, match=r"decimation by 4 leaves 6e\+06 samples"):
         demodulate(np.ones(9), 24e6, 6e6, bandwidth_hz=6e6, decimation=4)

@@ -25,7 +25,7 @@ from sonosweep.imaging.aperture import (
     array_shape,
     check_aperture,
 )
-from sonosweep.imaging.demodulate import demodulate
+from sonosweep.imaging.demodulate import demodulate_into
 from sonosweep.imaging.pixel_grid import PixelGrid
 from sonosweep.imaging.prepared import (
     Beamformer,
@@ -151,33 +151,31 @@ def prepare_beamformer(
 
 
 class _Baseband:
-    """Turns a frame's samples into checked baseband samples."""
+    """Checks a frame's samples and turns them into baseband samples."""
 
     def __init__(self, data: ChannelData, settings: BeamformSettings) -> None:
         self._name, self._is_rf = data.name, not _is_complex(data)
         self._rate_hz, self._carrier_hz = data.sampling_frequency_hz, _carrier_hz(data)
-        self._start_s = _start_times(data)[:, None]
+        self._start_s = _start_times(data)
         self._bandwidth_hz = settings.bandwidth_hz
 
-    def __call__(self, samples: np.ndarray) -> np.ndarray:
+    def __call__(self, samples: np.ndarray, iq: np.ndarray) -> None:
+        """Fill ``iq``, ``(transmits x elements, samples)``."""
         if np.iscomplexobj(samples) is self._is_rf:
             kinds = ("RF (real)", "IQ (complex)") if self._is_rf else ("IQ (complex)", "RF (real)")
             raise ScanError("the beamformer was made for {} samples, got {}".format(*kinds))
         if np.issubdtype(samples.dtype, np.inexact) and not np.isfinite(samples).all():
-            frame = np.argwhere(~np.isfinite(samples))[0]
+            place = np.argwhere(~np.isfinite(samples))[0]
             raise ScanError(
-                f"samples of '{self._name}' are not all numbers: transmit {frame[0]}, element"
-                f" {frame[1]} holds NaN or infinity"
+                f"samples of '{self._name}' are not all numbers: transmit {place[0]}, element"
+                f" {place[1]} holds NaN or infinity"
             )
+        signals = samples.reshape(-1, samples.shape[-1])
         if not self._is_rf:
-            return samples
-        return demodulate(
-            samples,
-            self._rate_hz,
-            self._carrier_hz,
-            start_time_s=self._start_s,
-            bandwidth_hz=self._bandwidth_hz,
-        )
+            iq[:] = signals
+            return
+        starts = np.repeat(self._start_s, samples.shape[1])
+        demodulate_into(iq, signals, self._rate_hz, self._carrier_hz, starts, self._bandwidth_hz)
 
 
 def _geometry(

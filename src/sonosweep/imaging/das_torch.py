@@ -15,8 +15,7 @@ from sonosweep.imaging.prepared import Beamformer, DelayTable
 class TorchBeamformer(nn.Module):
     """The same numbers as a prepared :class:`Beamformer`, to rounding, on any device.
 
-    Takes baseband samples: ``beamformer.to_baseband(samples)`` makes them from what was
-    recorded.
+    Takes baseband samples: ``beamformer.baseband(samples)`` makes them from what was recorded.
 
     Args:
         beamformer: Of :func:`sonosweep.imaging.prepare_beamformer`.

@@ -51,36 +51,51 @@ def demodulate(
         ScanError: If the samples are complex or not all finite, or the rate is too low for
             the band.
     """
+    samples, batch = rf.shape[-1], rf.shape[:-1]
+    iq = np.empty((math.prod(batch), -(-samples // max(decimation, 1))), np.complex64)
+    demodulate_into(
+        iq,
+        rf.reshape(len(iq), samples),
+        sampling_frequency_hz,
+        demodulation_frequency_hz,
+        np.broadcast_to(start_time_s, batch).reshape(-1),
+        bandwidth_hz,
+        decimation,
+    )
+    return iq.reshape(*batch, iq.shape[1])
+
+
+def demodulate_into(
+    iq: Complex64[np.ndarray, "signals kept"],
+    rf: Shaped[np.ndarray, "signals samples"],
+    sampling_frequency_hz: float,
+    demodulation_frequency_hz: float,
+    start_times_s: Float[np.ndarray, " signals"],
+    bandwidth_hz: float | None = None,
+    decimation: int = 1,
+) -> None:
+    """Fill ``iq`` with the baseband samples of ``rf``, as :func:`demodulate` does."""
     if np.iscomplexobj(rf):
         raise ScanError("these samples are IQ already: only real (RF) samples are demodulated")
-    samples = rf.shape[-1]
-    cutoff = _cutoff(sampling_frequency_hz, demodulation_frequency_hz, bandwidth_hz)
-    kept_band = cutoff * (1 + EDGE / 2)
-    if decimation < 1 or decimation * 2 * kept_band > sampling_frequency_hz * (1 + 1e-9):
-        raise ScanError(
-            f"decimation by {decimation} leaves {sampling_frequency_hz / max(decimation, 1):g} Hz"
-            f" for a band of {2 * kept_band:g} Hz; narrow the band or decimate less"
-        )
-    zeros = math.ceil(PADDING * sampling_frequency_hz / cutoff)
-    padded = decimation * fft.next_fast_len(-(-(samples + zeros) // decimation))
-    response = _response(padded, sampling_frequency_hz, cutoff).astype(np.float32)
-    batch = rf.shape[:-1]
-    signals = rf.reshape(-1, samples)
-    starts = np.broadcast_to(start_time_s, batch).reshape(-1)
-    kept = -(-samples // decimation)
-    iq = np.empty((len(signals), kept), np.complex64)
+    if rf.size == 0:
+        raise ScanError("there are no samples to demodulate")
+    rate_hz, count = sampling_frequency_hz, rf.shape[-1]
+    cutoff = _cutoff(rate_hz, demodulation_frequency_hz, bandwidth_hz)
+    _check_decimation(rate_hz, cutoff, decimation)
+    zeros = math.ceil(PADDING * rate_hz / cutoff)
+    padded = decimation * fft.next_fast_len(-(-(count + zeros) // decimation))
+    response = _response(padded, rate_hz, cutoff).astype(np.float32)
     step = max(1, CHUNK_SAMPLES // padded)
-    for first in range(0, len(signals), step):
+    for first in range(0, len(rf), step):
         chunk = slice(first, first + step)
-        mixer = _carrier(samples, sampling_frequency_hz, -demodulation_frequency_hz, starts[chunk])
-        spectrum = fft.fft(signals[chunk].astype(np.float32) * mixer, padded, overwrite_x=True)
+        mixer = _carrier(count, rate_hz, -demodulation_frequency_hz, start_times_s[chunk])
+        spectrum = fft.fft(rf[chunk].astype(np.float32) * mixer, padded, overwrite_x=True)
         spectrum *= response
         if decimation > 1:
             spectrum = spectrum.reshape(len(spectrum), decimation, -1).sum(1) / decimation
-        iq[chunk] = fft.ifft(spectrum, overwrite_x=True)[:, :kept]
+        iq[chunk] = fft.ifft(spectrum, overwrite_x=True)[:, : iq.shape[1]]
     if not np.isfinite(iq[:, 0]).all():  # the filter spreads NaN over all of a recording
         raise ScanError("samples are not all numbers: NaN or infinity cannot be demodulated")
-    return iq.reshape(*batch, kept)
 
 
 def analytic_signal(
@@ -119,6 +134,15 @@ def _cutoff(rate_hz: float, carrier_hz: float, bandwidth_hz: float | None) -> fl
             f" {carrier_hz:g} Hz from its mirror image, which lies {mirror:g} Hz away"
         )
     return min(wanted, widest)
+
+
+def _check_decimation(rate_hz: float, cutoff_hz: float, decimation: int) -> None:
+    band_hz = 2 * cutoff_hz * (1 + EDGE / 2)
+    if decimation < 1 or decimation * band_hz > rate_hz * (1 + 1e-9):
+        raise ScanError(
+            f"decimation by {decimation} leaves {rate_hz / max(decimation, 1):g} samples per"
+            f" second for a band of {band_hz:g} Hz; narrow the band or decimate less"
+        )
 
 
 def _response(count: int, rate_hz: float, cutoff_hz: float) -> Float[np.ndarray, " count"]:

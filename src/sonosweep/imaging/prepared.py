@@ -17,6 +17,7 @@ from jaxtyping import Complex64, Float32, Float64, Int, Shaped
 from sonosweep.errors import ScanError
 from sonosweep.imaging import das_kernels as kernels
 from sonosweep.imaging.aperture import ArrayShape
+from sonosweep.imaging.das_kernels import BACK, FRONT
 from sonosweep.imaging.transmit import Waves, arrival_times
 
 COLUMNS_AT_ONCE = 8
@@ -154,7 +155,8 @@ class Beamformer:
 
     Args:
         geometry: Of pixels, elements and transmits.
-        to_baseband: Turns samples as recorded into baseband ones, and checks them.
+        to_baseband: Checks a frame's samples as recorded and fills an array,
+            ``(transmits x elements, samples)``, with baseband ones.
         compound: Whether to average the transmits.
         tables: Delays of all blocks of columns; ``None`` computes them for each frame anew.
         threads: How many blocks to work on at the same time.
@@ -163,13 +165,13 @@ class Beamformer:
     def __init__(
         self,
         geometry: Geometry,
-        to_baseband: Callable[[np.ndarray], np.ndarray],
+        to_baseband: Callable[[np.ndarray, np.ndarray], None],
         compound: bool = True,
         tables: Sequence[DelayTable] | None = None,
         threads: int = 1,
     ) -> None:
         self.geometry, self.compound, self.tables = geometry, compound, tables
-        self.to_baseband = to_baseband
+        self._to_baseband = to_baseband
         self._threads = threads
         self._checked = False
 
@@ -195,12 +197,7 @@ class Beamformer:
                 all recorded too early or too late for the image.
         """
         geometry = self.geometry
-        expected = (geometry.transmits, len(geometry.array.elements_mm), geometry.samples)
-        if samples.shape[-3:] != expected:
-            raise ScanError(
-                "the beamformer was made for {} transmits, {} elements and {} samples, got an"
-                " array of shape {}".format(*expected, samples.shape)
-            )
+        self._check_shape(samples)
         batch = samples.shape[:-3]
         columns, rows = geometry.points_mm.shape[:2]
         kept = (rows, columns) if self.compound else (geometry.transmits, rows, columns)
@@ -211,7 +208,7 @@ class Beamformer:
 
     def _fill(self, samples: np.ndarray, image: np.ndarray) -> None:
         """Beamform one frame into ``image``."""
-        padded = _padded(self.to_baseband(samples))
+        padded = self._padded(samples)
 
         def sum_block(number: int) -> bool:
             table = self._table(number)
@@ -227,6 +224,42 @@ class Beamformer:
         if not (self._checked or any(covered)):
             raise ScanError(_not_covered(self.geometry))
         self._checked = True
+
+    def baseband(
+        self, samples: Shaped[np.ndarray, "*frames transmits elements samples"]
+    ) -> Complex64[np.ndarray, "*frames transmits elements samples"]:
+        """Return baseband samples, checked: what is interpolated, and what torch takes.
+
+        Args:
+            samples: As for :meth:`apply`.
+
+        Raises:
+            ScanError: As :meth:`apply`, but for samples recorded too early or too late.
+        """
+        self._check_shape(samples)
+        iq = np.empty(samples.shape, np.complex64)
+        for frame in np.ndindex(samples.shape[:-3]):
+            self._to_baseband(samples[frame], iq[frame].reshape(-1, samples.shape[-1]))
+        return iq
+
+    def _padded(self, samples: np.ndarray) -> Float64[np.ndarray, "transmits elements padded"]:
+        """Return baseband samples with a rim of zeros.
+
+        Each complex one is in the bits of a 64-bit number, which moves in one piece.
+        """
+        size = samples.shape[-1]
+        padded = np.zeros((*samples.shape[:-1], size + FRONT + BACK), np.complex64)
+        self._to_baseband(samples, padded.reshape(-1, padded.shape[-1])[:, FRONT : FRONT + size])
+        return padded.view(np.float64)
+
+    def _check_shape(self, samples: np.ndarray) -> None:
+        geometry = self.geometry
+        expected = (geometry.transmits, len(geometry.array.elements_mm), geometry.samples)
+        if samples.shape[-3:] != expected:
+            raise ScanError(
+                "the beamformer was made for {} transmits, {} elements and {} samples, got an"
+                " array of shape {}".format(*expected, samples.shape)
+            )
 
     def _table(self, number: int) -> DelayTable:
         if self.tables is None:
@@ -259,14 +292,6 @@ def needed_bytes(geometry: Geometry) -> int:
     )
     columns, rows = geometry.points_mm.shape[:2]
     return BYTES_PER_PAIR * (pairs + geometry.transmits * columns * rows)
-
-
-def _padded(iq: np.ndarray) -> Float64[np.ndarray, "transmits elements padded"]:
-    """Return samples with a rim of zeros, each complex one in the bits of a 64-bit number."""
-    size = iq.shape[-1]
-    padded = np.zeros((*iq.shape[:-1], size + kernels.FRONT + kernels.BACK), np.complex64)
-    padded[..., kernels.FRONT : kernels.FRONT + size] = iq
-    return padded.view(np.float64)
 
 
 def _is_covered(table: DelayTable, samples: int) -> bool:
