@@ -1,8 +1,9 @@
-"""Speed and memory of the simulator's speckle: numba and torch, a stage at a time.
+"""Speed and memory of the simulator: echoes, labels and full B-mode frames.
 
 Timed: the echoes of full frames (256 x 256 pixels, 266 scatterers per mm3, an L11-5v) along a
-tilted sweep, CPU time of one thread, the smallest of several runs. Left out: compiling,
-making the body. Memory is that of the process, and what a renderer adds to the body's arrays.
+tilted sweep, and B-mode frames with all that a scanner makes of them, CPU time of one thread,
+the smallest of several runs. Left out: compiling, making the bodies. Memory is the largest
+that the process has had, making the forearm included.
 
     python benchmarks/simulation.py
 """
@@ -15,7 +16,16 @@ import numpy as np
 import torch
 
 from sonosweep.imaging import PAPER_GRID
-from sonosweep.simulate import REFERENCE_CODE, STILL, Beam, Body, Tissue
+from sonosweep.simulate import (
+    FIRST_TEST_SUBJECT,
+    REFERENCE_CODE,
+    STILL,
+    Beam,
+    Body,
+    Tissue,
+    draw_sweep,
+    simulate_sweep,
+)
 from sonosweep.simulate.medium import Medium
 from sonosweep.simulate.planes import sample_plane
 from sonosweep.simulate.point_spread import point_spread
@@ -31,20 +41,21 @@ SIZE_MM = (70.0, 50.0, 100.0)
 def main() -> None:
     """Print milliseconds per frame and megabytes."""
     torch.set_num_threads(1)
-    body, before = block(), megabytes()
+    scan = simulate_sweep(draw_sweep(FIRST_TEST_SUBJECT, 0))
+    number = iter(range(len(scan.frames)))
+    frame = cpu_seconds(lambda: scan.frames[next(number)])
+    print(f"full B-mode frame of a random sweep over a forearm: {frame * 1e3:.1f} ms of one thread")
+    print(f"  memory of the process, at most: {megabytes():.0f} MB")
+
+    body, poses = block(), [pose(step) for step in range(3)]
     renderer = SpeckleRenderer(body, Beam(), PAPER_GRID, seed=0)
-    poses = [pose(step) for step in range(3)]
     numba = cpu_seconds(lambda: [renderer.iq(where) for where in poses]) / len(poses)
     scatterers, listing = cells_of(body, poses[0])
     labels = cpu_seconds(lambda: sample_plane(body.tissue, body, poses[0], PAPER_GRID))
-
-    print(f"echoes of a frame, numba: {numba * 1e3:.1f} ms of one thread")
+    print(f"echoes of a frame, numba: {numba * 1e3:.1f} ms")
     print(f"  of {scatterers} scatterers: {numba / scatterers * 1e9:.1f} ns each")
     print(f"  listing the cells that it sees: {listing * 1e3:.2f} ms")
     print(f"labels of its pixels: {labels * 1e3:.2f} ms")
-    print(
-        f"memory of the process: {megabytes():.0f} MB; the renderer's: {megabytes() - before:.0f}"
-    )
     slow = SpeckleRenderer(body, Beam(), PAPER_GRID, seed=0, engine="torch")
     seconds = cpu_seconds(lambda: slow.iq(poses[0]))
     difference = np.abs(slow.iq(poses[0]) - renderer.iq(poses[0])).max()
