@@ -328,7 +328,7 @@ def test_an_interrupted_run_leaves_no_half_written_file(stop, tmp_path) -> None:
     folder = tmp_path / "dataset"
     words = ["simulate", "--dataset", "dataset1", "--size", "small", "-o", str(folder)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "sonosweep", *words, "--workers", "2"], stderr=subprocess.PIPE
+        [sys.executable, "-m", "sonosweep", *words, "--workers", "2"], stderr=subprocess.DEVNULL
     )
     wait_for(lambda: len(list(folder.rglob(".writing-*.h5"))) == 2, 300)
     process.send_signal(stop)
