@@ -163,7 +163,7 @@ def test_from_channel_data_to_volumes() -> None:
         acquisition=Acquisition(samples=560, beam=Beam(elevation_focus_mm=8.0)),
     )
     sweep = simulate_channel_sweep(body, poses, linear_probe_l11_5v(48), settings, SUBJECT)
-    imaging = SweepImaging(grid=centered_grid(56, 48, (0.2, 0.2), 3.5))
+    imaging = SweepImaging(grid=centered_grid(56, 48, (0.2, 0.2), 3.5), clutter_rank=2)
     scan = beamform_sweep(sweep, imaging)
     volumes = reconstructed(scan)
     for modality in ("power_doppler", "photoacoustic"):

@@ -17,6 +17,7 @@ SMALL = ChannelSweepSettings(
     angles_rad=(-0.1, 0.1),
     pulses=4,
     density_per_mm3=2.0,
+    noise=0.0,
     acquisition=Acquisition(samples=600, beam=Beam()),
 )
 
@@ -117,6 +118,17 @@ def test_flow_has_its_mean_speed() -> None:
     assert blood_velocity((), points).any() == np.False_
 
 
+@pytest.mark.parametrize("modality", ["b_mode", "power_doppler", "photoacoustic"])
+def test_every_sample_has_its_noise(modality: str) -> None:
+    """Electronic noise has the standard deviation asked for and is new in each frame."""
+    quiet, noisy = sweep_of_tube(), sweep_of_tube(noise=1e-3)
+    first, last = (
+        samples(noisy, modality, k) - samples(quiet, modality, k) for k in range(0, 3, 2)
+    )
+    assert first.std() == pytest.approx(1e-3, rel=0.05)  # 14 400 samples or more
+    assert abs(np.corrcoef(first.ravel(), last.ravel())[0, 1]) < 0.05
+
+
 def test_sweeps_that_cannot_be() -> None:
     """A sweep beside the body, one without a beam, and one too large are refused."""
     flat, dense = replace(SMALL, acquisition=Acquisition()), replace(SMALL, density_per_mm3=1e5)
@@ -128,6 +140,8 @@ def test_sweeps_that_cannot_be() -> None:
         simulate_channel_sweep(tube(), along_arm(1.0), PROBE, dense)
     with pytest.raises(ScanError, match="frame rate must be above 0"):
         replace(SMALL, frame_rate_hz=0.0)
+    with pytest.raises(ScanError, match="noise of a sample must be 0 or more"):
+        replace(SMALL, noise=-1.0)
     apart = simulate_channel_sweep(tube(), along_arm(1.0, 50.0), PROBE, SMALL)
     with pytest.raises(ScanError, match="frame 1 of the sweep lies outside"):
         samples(apart, "b_mode", 1)

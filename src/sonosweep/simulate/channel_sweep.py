@@ -7,7 +7,7 @@ each frame, having flowed on, and moves from pulse to pulse.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -45,6 +45,8 @@ class ChannelSweepSettings:
         density_per_mm3: Scatterers in tissue and blood.
         fluence_per_mm: How fast light fades with depth.
         skin_pressure: Photoacoustic pressure of the skin; that of blood is 1.
+        noise: Standard deviation of the electronic noise of a sample; the echo of a
+            scatterer of amplitude 1 that is 10 mm away has a peak of 0.1.
         acquisition: How echoes are recorded.
     """
 
@@ -55,6 +57,7 @@ class ChannelSweepSettings:
     density_per_mm3: float = 8.0
     fluence_per_mm: float = 0.11
     skin_pressure: float = 0.5
+    noise: float = 3e-4
     acquisition: Acquisition = field(default_factory=lambda: Acquisition(samples=640, beam=Beam()))
 
     def __post_init__(self) -> None:
@@ -69,6 +72,8 @@ class ChannelSweepSettings:
         ):
             if not (math.isfinite(value) and value > 0):
                 raise ScanError(f"the {what} must be above 0, got {value:g}")
+        if not (math.isfinite(self.noise) and self.noise >= 0):
+            raise ScanError(f"the noise of a sample must be 0 or more, got {self.noise:g}")
 
 
 def simulate_channel_sweep(
@@ -163,14 +168,15 @@ class _Field:
         """Return one frame of echoes for B-mode."""
         points, amplitudes, _ = self._scatterers(frame)
         angles = np.array(self._settings.angles_rad, np.float64)
-        return simulate_plane_waves(
+        data = simulate_plane_waves(
             points, amplitudes, self._probe, angles, self._settings.acquisition
         )
+        return self._noisy(data, frame, "plane waves")
 
     def ensemble(self, frame: int) -> ChannelData:
         """Return one frame's Doppler ensemble."""
         points, amplitudes, velocities = self._scatterers(frame)
-        return simulate_ensemble(
+        data = simulate_ensemble(
             points,
             amplitudes,
             velocities,
@@ -179,6 +185,7 @@ class _Field:
             self._settings.pulse_repetition_hz,
             acquisition=self._settings.acquisition,
         )
+        return self._noisy(data, frame, "ensemble")
 
     def laser_shot(self, frame: int) -> ChannelData:
         """Return what one laser pulse makes blood and skin send."""
@@ -192,7 +199,14 @@ class _Field:
         if len(points) == 0:  # nothing absorbs: the elements hear nothing
             points, pressures = np.array([[0.0, 1.0, 0.0]]), np.zeros(1)
         lit = pressures * np.exp(-self._settings.fluence_per_mm * points[:, 1])
-        return simulate_photoacoustic(points, lit, self._probe, self._settings.acquisition)
+        data = simulate_photoacoustic(points, lit, self._probe, self._settings.acquisition)
+        return self._noisy(data, frame, "laser shot")
+
+    def _noisy(self, data: ChannelData, frame: int, what: str) -> ChannelData:
+        """Return the data with electronic noise, other in each frame and modality."""
+        random = generator(self._seed, frame, f"channel noise {what}")
+        noise = random.standard_normal(data.samples.shape, np.float32)
+        return replace(data, samples=data.samples[:] + np.float32(self._settings.noise) * noise)
 
     def _static(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return scatterers that stay in the body: places, amplitudes, and which are skin."""
