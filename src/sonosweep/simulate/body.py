@@ -58,6 +58,24 @@ class Vessel:
     radius_mm: Float[np.ndarray, " points"]
     mean_speed_mm_per_s: float
 
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ScanError: If they do not make a tube.
+        """
+        line, radius = self.centerline_mm, self.radius_mm
+        if len(line) < 2 or len(line) != len(radius):
+            raise ScanError(
+                f"vessel '{self.name}' needs two points or more, with a radius each, got"
+                f" {len(line)} points and {len(radius)} radii"
+            )
+        finite = np.isfinite(line).all() and np.isfinite(radius).all()
+        if not (finite and (radius > 0).all() and np.isfinite(self.mean_speed_mm_per_s)):
+            raise ScanError(
+                f"vessel '{self.name}' needs finite points and speed, and radii above 0 mm"
+            )
+
 
 @dataclass(frozen=True, eq=False)
 class Body:

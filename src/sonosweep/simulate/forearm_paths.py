@@ -3,7 +3,7 @@
 Points are in arm coordinates (see :mod:`sonosweep.simulate.forearm_shape`): across, y, along.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -63,13 +63,16 @@ def under_skin_y(
 def keep_inside(arm: ArmShape, points: Points, radius_mm: Float[np.ndarray, " points"]) -> Points:
     """Return the points moved across the arm, off the bones and off the skin."""
     points = points.copy()
-    for _ in range(PUSHES):
-        off_bone = arm.bone_distance(*points.T) - radius_mm - BONE_GAP_MM
-        off_skin = arm.skin_distance(*points.T) - radius_mm - arm.skin_mm - 0.2
-        if off_bone.min() >= 0 and off_skin.min() >= 0:
-            break
-        points[:, :2] += np.maximum(-off_bone, 0)[:, None] * _uphill(arm.bone_distance, points)
-        points[:, :2] += np.maximum(-off_skin, 0)[:, None] * _uphill(arm.skin_distance, points)
+    for distance, wall in (
+        (arm.bone_distance, radius_mm + BONE_GAP_MM),
+        (arm.skin_distance, radius_mm + arm.skin_mm + 0.2),
+    ):
+        for _ in range(PUSHES):
+            missing = wall - distance(*points.T)
+            near = missing > 0
+            if not near.any():
+                break
+            points[near, :2] += missing[near, None] * _uphill(distance, points[near])
     return points
 
 
@@ -79,8 +82,9 @@ def keep_apart(
     """Return the points moved across the arm until no lumen meets that of another vessel."""
     points = points.copy()
     for vessel in others:
+        tree = cKDTree(vessel.centerline_mm)
         for _ in range(3):
-            nearest = cKDTree(vessel.centerline_mm).query(points)[1]
+            nearest = tree.query(points)[1]
             away = points[:, :2] - vessel.centerline_mm[nearest, :2]
             distance = np.hypot(*away.T) + 1e-6
             wanted = radius_mm + vessel.radius_mm[nearest] + WALLS_MM
@@ -116,15 +120,11 @@ def clearance(
     return free
 
 
-def _uphill(distance, points: Points) -> Float[np.ndarray, "points 2"]:
+def _uphill(
+    distance: Callable[..., Float[np.ndarray, "..."]], points: Points
+) -> Float[np.ndarray, "points 2"]:
     """Return the direction across the arm in which a distance grows."""
-    across, y, along = points.T
-    step = 0.2
-    slope = np.stack(
-        (
-            distance(across + step, y, along) - distance(across - step, y, along),
-            distance(across, y + step, along) - distance(across, y - step, along),
-        ),
-        axis=1,
-    )
+    step = np.array([[0.2, 0, 0], [-0.2, 0, 0], [0, 0.2, 0], [0, -0.2, 0]])
+    right, left, down, up = distance(*(points + step[:, None]).transpose(2, 0, 1))
+    slope = np.stack((right - left, down - up), axis=1)
     return slope / (np.linalg.norm(slope, axis=1, keepdims=True) + 1e-9)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from sonosweep.errors import ScanError
 from sonosweep.simulate.body import Body, Tissue, Vessel
 from sonosweep.simulate.tube_kernels import paint_tube
 from sonosweep.simulate.tubes import code_of, labels_except, paint_vessels
@@ -32,6 +33,7 @@ class Cyst(NamedTuple):
     level_db: float | None = None
 
 
+Wire = tuple[Point, Point]
 CYSTS = (
     Cyst((-8.0, 12.0, 0.0), 3.0),
     Cyst((8.0, 12.0, 0.0), 3.0, 10.0),
@@ -58,7 +60,7 @@ def uniform_phantom(
 
 
 def wire_phantom(
-    wires_mm: Sequence[tuple[Point, Point]] = WIRES,
+    wires_mm: Sequence[Wire] = WIRES,
     size_mm: Point = (40.0, 40.0, 40.0),
     *,
     diameter_mm: float = 0.25,
@@ -174,6 +176,12 @@ def _block(name: str, size_mm: Point, spacing_mm: float, level_db: float | None)
 def _paint(
     block: _Block, ends_mm: Float[np.ndarray, "2 3"], radius_mm: float, label: Tissue, code: int
 ) -> None:
+    """Draw a rod or a ball."""
+    if not (np.isfinite(ends_mm).all() and np.isfinite(radius_mm) and radius_mm > 0):
+        raise ScanError(
+            "places in a phantom must be finite numbers and radii above 0 mm, got"
+            f" {ends_mm.tolist()} and {radius_mm:g}"
+        )
     paint_tube(
         block.tissue,
         block.echogenicity,
