@@ -496,3 +496,11 @@ def test_samples_of_another_geometry_are_refused():
         prepared.apply(noise().samples[..., :400])
     with pytest.raises(ScanError, match="made for IQ"):
         prepared.apply(noise(rf=True).samples)
+
+
+def test_absurd_images_and_absent_frames_are_refused():
+    """A mistaken spacing does not fill the memory; a frame that is not there is told."""
+    with pytest.raises(ScanError, match="1000000 x 1000000 pixels is too large"):
+        beamform(noise(), 0, centered_grid(1_000_000, 1_000_000, (1e-4, 1e-4)))
+    with pytest.raises(ScanError, match="no frame 1 in 'noise', which has 1"):
+        beamform(noise(), 1, GRID)

@@ -39,6 +39,8 @@ from sonosweep.scan import ChannelData
 
 Interpolation = Literal["auto", "linear", "cubic"]
 MEMORY_LIMIT_BYTES = 4 << 30
+MOST_PIXELS, MOST_ROWS = 1 << 24, 1 << 16
+"""Beyond, a mistaken spacing is likelier than such an image, and memory would run out."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,9 @@ def beamform(
         ScanError: If samples, geometry and settings do not fit together, samples are not all
             finite, or no pixel at all was recorded.
     """
+    count = len(channel_data.samples)
+    if not 0 <= frame < count:
+        raise ScanError(f"there is no frame {frame} in '{channel_data.name}', which has {count}")
     samples = np.asarray(channel_data.samples[frame])
     geometry = _geometry(channel_data, grid, settings)
     baseband = _Baseband(channel_data, settings)
@@ -265,7 +270,19 @@ def _carrier_hz(data: ChannelData) -> float:
 def grid_points(
     grid: PixelGrid | SectorGrid,
 ) -> Float[np.ndarray, "columns rows xy=2"]:
-    """Return the lateral and axial position of each pixel, or of each sample of each line."""
+    """Return the lateral and axial position of each pixel, or of each sample of each line.
+
+    Raises:
+        ScanError: If there are too many.
+    """
+    columns, rows = (
+        (grid.columns, grid.rows) if isinstance(grid, PixelGrid) else (grid.lines, grid.samples)
+    )
+    if columns * rows > MOST_PIXELS or rows > MOST_ROWS:
+        raise ScanError(
+            f"an image of {columns} x {rows} pixels is too large to beamform: at most"
+            f" {MOST_PIXELS} pixels and {MOST_ROWS} rows"
+        )
     if isinstance(grid, PixelGrid):
         points = np.empty((grid.columns, grid.rows, 2))
         points[..., 0], points[..., 1] = grid.lateral_mm[:, None], grid.axial_mm
