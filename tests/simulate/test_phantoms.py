@@ -104,7 +104,6 @@ def test_default_vessels_branch_and_stay_apart():
     ("line", "radii", "message"),
     [
         ([[0, 0, 0]], [1], "needs two points or more, with a radius each, got 1 points"),
-        ([[0, 0, 0], [0, 0, 1]], [1], "got 2 points and 1 radii"),
         ([[0, 0, 0], [0, 0, np.nan]], [1, 1], "needs finite points and speed"),
         ([[0, 0, 0], [0, 0, 1]], [1, 0], "radii above 0 mm"),
     ],

@@ -118,7 +118,12 @@ def _one_muscle(
     return row
 
 
-def _taper(generator, row, muscle, along):
+def _taper(
+    generator: np.random.Generator,
+    row: Float[np.ndarray, "slices columns=14"],
+    muscle: Muscle,
+    along: Float[np.ndarray, " slices"],
+) -> None:
     """Fill how much of a muscle is tendon, and how much of its compartment it fills."""
     reach = muscle.tendon_mm * generator.uniform(0.8, 1.2)
     toward_wrist = _step(-along, -reach, 60.0)
@@ -127,7 +132,11 @@ def _taper(generator, row, muscle, along):
     row[:, FILL] = 0.45 + 4.0 * (1 - toward_wrist)
 
 
-def _texture(generator, row, along):
+def _texture(
+    generator: np.random.Generator,
+    row: Float[np.ndarray, "slices columns=14"],
+    along: Float[np.ndarray, " slices"],
+) -> None:
     """Fill how fibres run: through the middle of the muscle, at an angle to its course."""
     pennation = np.tan(np.deg2rad(generator.uniform(2, 13))) * generator.choice((-1, 1))
     aside = np.tan(np.deg2rad(generator.normal(0, 3)))

@@ -4,11 +4,15 @@ Everything here is in arm coordinates (see :mod:`sonosweep.simulate.forearm_shap
 lines too; points follow the blood, in arteries to the wrist and in veins to the elbow.
 """
 
+from dataclasses import replace
+
 import numpy as np
+from jaxtyping import Float
 from scipy import ndimage
 
 from sonosweep.simulate.body import Vessel
 from sonosweep.simulate.forearm_paths import (
+    Stations,
     clearance,
     fascia_y,
     keep_inside,
@@ -23,6 +27,7 @@ STEP_MM = 1.0  # between points
 BEYOND_MM = 20.0  # that vessels go on past the wrist and the elbow
 ELBOW_MM = 250.0 + BEYOND_MM
 TRIES = 16  # for a branch that meets no other vessel
+ENOUGH_MM = 0.6  # between lumens, for their walls
 JOIN_MM = 5.0  # of a branch, in which it may touch the vessel it leaves
 
 
@@ -36,7 +41,7 @@ def draw_vessels(generator: np.random.Generator, arm: ArmShape) -> tuple[Vessel,
         for number in range(count):
             upward = number == 0
             branch = _draw_branch(generator, arm, parent, vessels, upward=upward)
-            vessels.append(_named(branch, f"{name} branch {number + 1}"))
+            vessels.append(replace(branch, name=f"{name} branch {number + 1}"))
     return tuple(vessels)
 
 
@@ -48,9 +53,13 @@ def _draw_arteries(generator: np.random.Generator, arm: ArmShape) -> tuple[Vesse
     sizes = generator.uniform((1.7, 1.0, 1.05), (2.3, 1.5, 1.6))
     speeds = generator.uniform((90.0, 60.0, 60.0), (180.0, 140.0, 140.0))
     start = (fork, middle, deep)
-    above = ((fork - 30, middle + 0.05, deep), start, (300.0, middle - 0.08, deep - 1))
-    radial = ((-30, 0.46, 1.5), (25, 0.45 + shift[0], 2.2), (125, 0.36 + shift[1], 6.0), start)
-    ulnar = ((-30, -0.48, 1.5), (25, -0.46 + shift[2], 4.0), (125, -0.3 + shift[3], 11.0), start)
+    above = np.array(((fork - 30, middle + 0.05, deep), start, (300, middle - 0.08, deep - 1)))
+    radial = np.array(
+        ((-30, 0.46, 1.5), (25, 0.45 + shift[0], 2.2), (125, 0.36 + shift[1], 6.0), start)
+    )
+    ulnar = np.array(
+        ((-30, -0.48, 1.5), (25, -0.46 + shift[2], 4.0), (125, -0.3 + shift[3], 11.0), start)
+    )
     down = np.arange(ELBOW_MM, fork, -STEP_MM)
     brachial = _trunk(
         generator, arm, "brachial artery", np.append(down, fork), above, sizes[0], fork
@@ -59,15 +68,23 @@ def _draw_arteries(generator: np.random.Generator, arm: ArmShape) -> tuple[Vesse
     first = _trunk(generator, arm, "radial artery", below, radial, sizes[1], fork)
     second = _trunk(generator, arm, "ulnar artery", below, ulnar, sizes[2], fork)
     trunks = [
-        Vessel(vessel.name, "artery", vessel.centerline_mm, vessel.radius_mm, float(speed))
+        replace(vessel, mean_speed_mm_per_s=float(speed))
         for vessel, speed in zip((brachial, first, second), speeds, strict=True)
     ]
     return (*trunks, _interosseous(generator, arm, trunks))
 
 
-def _trunk(generator, arm, name, along, stations, radius_mm, fork):
+def _trunk(
+    generator: np.random.Generator,
+    arm: ArmShape,
+    name: str,
+    along: Float[np.ndarray, " points"],
+    stations: Stations,
+    radius_mm: float,
+    fork: float,
+) -> Vessel:
     """Return an artery; all wander less near the fork, where they meet."""
-    points = path_through(arm, along, np.array(stations, np.float64))
+    points = path_through(arm, along, stations)
     free = np.clip(np.abs(along - fork) / 25, 0, 1)
     points[:, 0] += 1.2 * free * draw_noise(generator, 25.0)(along)
     points[:, 1] += 0.6 * free * draw_noise(generator, 20.0)(along)
@@ -108,7 +125,13 @@ def _draw_companions(
     return main + joined
 
 
-def _companion(generator, arm, course, name, number):
+def _companion(
+    generator: np.random.Generator,
+    arm: ArmShape,
+    course: tuple[Vessel, Vessel],
+    name: str,
+    number: int,
+) -> Vessel:
     """Return a vein beside arteries that follow one another, from the wrist on."""
     line = np.concatenate([vessel.centerline_mm[::-1] for vessel in course])
     artery = np.concatenate([vessel.radius_mm[::-1] for vessel in course])
@@ -139,7 +162,7 @@ def _joining(vein: Vessel, into: Vessel, begins_mm: float, ends_mm: float) -> Ve
     points = points + share[:, None] * (goal - points)
     points = np.concatenate((points, into.centerline_mm[last : last + 1]))
     radii = np.append(vein.radius_mm[: len(points) - 1], vein.radius_mm[len(points) - 2])
-    return Vessel(vein.name, "vein", points, radii, vein.mean_speed_mm_per_s)
+    return replace(vein, centerline_mm=points, radius_mm=radii)
 
 
 def _superficial_veins(generator: np.random.Generator, arm: ArmShape) -> list[Vessel]:
@@ -156,7 +179,12 @@ def _superficial_veins(generator: np.random.Generator, arm: ArmShape) -> list[Ve
     return veins
 
 
-def _tributary(generator, arm, trunk, name):
+def _tributary(
+    generator: np.random.Generator,
+    arm: ArmShape,
+    trunk: Vessel,
+    name: str,
+) -> Vessel:
     """Return a vein in the fat that flows into another one."""
     joint = int(generator.integers(60, 260))
     length = int(generator.uniform(30, 80))
@@ -170,10 +198,17 @@ def _tributary(generator, arm, trunk, name):
     vein = _in_fat(generator, arm, name, x, along, generator.uniform(0.35, 0.7))
     blend = np.exp(-gone / 4)[:, None]
     points = vein.centerline_mm + blend * (trunk.centerline_mm[joint] - vein.centerline_mm[-1])
-    return Vessel(name, "vein", points, vein.radius_mm, vein.mean_speed_mm_per_s)
+    return replace(vein, centerline_mm=points)
 
 
-def _in_fat(generator, arm, name, across, along, radius_mm):
+def _in_fat(
+    generator: np.random.Generator,
+    arm: ArmShape,
+    name: str,
+    across: Float[np.ndarray, " points"],
+    along: Float[np.ndarray, " points"],
+    radius_mm: float,
+) -> Vessel:
     """Return a vein in the middle of the fat, as thick as the fat allows."""
     fat = arm.fat_below(across, along)
     radii = np.clip(radius_mm * np.exp(0.1 * draw_noise(generator, 15.0)(along)), 0.3, 0.4 * fat)
@@ -192,22 +227,24 @@ def _draw_branch(
     upward: bool,
 ) -> Vessel:
     """Return a branch of an artery that meets no other vessel, the freest of some tries."""
-    best, free = None, -np.inf
+    branches, rooms = [], []
     for _ in range(TRIES):
-        branch = _try_branch(generator, arm, parent, upward)
+        branches.append(_try_branch(generator, arm, parent, upward))
         beyond = slice(int(JOIN_MM / STEP_MM), None)
-        points, radii = branch.centerline_mm[beyond], branch.radius_mm[beyond]
+        points, radii = branches[-1].centerline_mm[beyond], branches[-1].radius_mm[beyond]
         off_bone = float((arm.bone_distance(*points.T) - radii).min())
-        room = min(clearance(points, radii, others), off_bone)
-        if room > free:
-            best, free = branch, room
-        if free > 0.6:
+        rooms.append(min(clearance(points, radii, others), off_bone))
+        if rooms[-1] > ENOUGH_MM:
             break
-    assert best is not None
-    return best
+    return branches[int(np.argmax(rooms))]
 
 
-def _try_branch(generator, arm, parent, upward):
+def _try_branch(
+    generator: np.random.Generator,
+    arm: ArmShape,
+    parent: Vessel,
+    upward: bool,
+) -> Vessel:
     """Return a branch that leaves at a random place and angle."""
     start = int(generator.integers(25, len(parent.radius_mm) - 60))
     origin = parent.centerline_mm[start]
@@ -233,10 +270,4 @@ def _try_branch(generator, arm, parent, upward):
 def _settled(arm: ArmShape, vein: Vessel, arteries: tuple[Vessel, ...]) -> Vessel:
     """Return a vein moved off the bones, the skin and the arteries."""
     points = settle(arm, vein.centerline_mm, vein.radius_mm, arteries)
-    return Vessel(vein.name, vein.kind, points, vein.radius_mm, vein.mean_speed_mm_per_s)
-
-
-def _named(vessel: Vessel, name: str) -> Vessel:
-    return Vessel(
-        name, vessel.kind, vessel.centerline_mm, vessel.radius_mm, vessel.mean_speed_mm_per_s
-    )
+    return replace(vein, centerline_mm=points)
