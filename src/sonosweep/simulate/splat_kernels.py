@@ -70,7 +70,7 @@ _VOXEL, _PIXEL = 0, BLOCK
 _I_LANES = 2 * BLOCK
 
 _1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
-_ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
+_ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
 # Polynomials through Chebyshev nodes; their errors are below single precision.
 _SIN_PI = tuple(
     np.float32(c) for c in (3.14159264, -5.16771008, 2.55007739, -0.598290411, 0.0776559122)
