@@ -168,7 +168,7 @@ def _through(picture: Picture) -> int:
 
 def _cut_caption(picture: Picture, volume: Volume, at: Voxel, names: tuple[str, str, str]) -> str:
     axis = _through(picture)
-    depth_mm = at[axis] * volume.grid.spacing_mm[axis]
+    depth_mm = (at[axis] + 0.5) * volume.grid.spacing_mm[axis]
     return f"{names[axis].capitalize()} {depth_mm:.1f} mm from the edge of the volume"
 
 
