@@ -2,17 +2,18 @@
 
 import pickle
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from sonosweep.errors import FormatError, ScanError
-from sonosweep.imaging import demodulate
+from sonosweep.imaging import BeamformSettings, PixelGrid, beamform, demodulate
 from sonosweep.io.verasonics import is_verasonics, read_verasonics
 
 from .channel_files import assert_opens_or_explains
-from .damage import damaged
+from .damage import LARGEST_RESIDENT_MB, damaged, resident_mb_after
 from .matlab_files import save_mat
 from .verasonics_files import (
     ANGLES,
@@ -39,6 +40,9 @@ ECHO_S = 1.63e-6  # no multiple of any sampling interval
 ROUNDING_S = 1e-15
 # Largest error, part of the echo's height. RF is only rounded to int16; the other modes cut
 # the band of a pulse as short as this one, BS50BW most.
+# Pixels are 0.005 mm.
+DEPTH_ERROR_MM = {"NS200BW": 0.005, "BS100BW": 0.01}
+LATERAL_ERROR_MM = 0.02
 ERRORS = {"NS200BW": 2e-4, "BS67BW": 0.01, "BS100BW": 0.012, "BS50BW": 0.05}
 
 
@@ -168,6 +172,37 @@ def test_interleaved_acquisitions_double_the_rate(tmp_path, version):
     at_s = float(data.start_time_s[0]) + np.arange(2 * ROWS) / data.sampling_frequency_hz
     np.testing.assert_array_equal(data.samples[0][0, 3], echo(at_s))
     np.testing.assert_array_equal(data.transmit_delays_s[0], 0)
+
+
+@pytest.mark.parametrize("mode", ["NS200BW", "BS100BW"])
+def test_a_point_is_imaged_where_it_is(tmp_path, mode):
+    """What the machine would record of a point, lens and pulse included, focuses at the point."""
+    lateral, axial = 0.25, 1.6
+    times, rate_mhz = stored_times(mode)
+    machine_s = times - times[0] + 2 * START_DEPTH / FREQUENCY_HZ
+    late_s = PEAK / FREQUENCY_HZ + 2 * LENS_S
+    back_s = np.hypot(positions_mm() - lateral, axial) / SPEED / 1e3
+    samples = np.empty((1, len(ANGLES), ELEMENTS, ROWS), np.int16)
+    for k, angle in enumerate(ANGLES):
+        first_fires_s = (positions_mm() * np.sin(angle)).min() / SPEED / 1e3
+        out_s = (lateral * np.sin(angle) + axial * np.cos(angle)) / SPEED / 1e3 - first_fires_s
+        arrivals = out_s + back_s + late_s
+        samples[0, k] = echo(machine_s - arrivals[:, None] + ECHO_S)
+    contents = workspace(
+        [plane_wave(angle) for angle in ANGLES],
+        [0, 1, 2],
+        samples,
+        sampleMode=mode,
+        decimSampleRate=rate_mhz,
+    )
+
+    data = read_verasonics(save_mat(tmp_path / "point.mat", contents, "5")).b_mode
+    grid = PixelGrid(200, 200, (0.005, 0.005), (-0.25, 1.1))
+    image = abs(beamform(data, 0, grid, BeamformSettings(f_number=None)))
+
+    row, column = np.unravel_index(image.argmax(), image.shape)
+    assert grid.axial_mm[row] == pytest.approx(axial, abs=DEPTH_ERROR_MM[mode])
+    assert grid.lateral_mm[column] == pytest.approx(lateral, abs=LATERAL_ERROR_MM)
 
 
 @pytest.mark.parametrize("columns", [ELEMENTS, ELEMENTS // 2])
@@ -363,3 +398,22 @@ def test_damaged_workspaces_are_explained(tmp_path_factory, whole, kind, data):
     path.write_bytes(data.draw(damaged(whole[kind])))
 
     assert_opens_or_explains(lambda: read_verasonics(path))
+
+
+def test_opening_12_gb_of_receive_buffer_needs_little_memory(tmp_path):
+    """A sweep's buffer is larger than memory: only the frames that are looked at are read."""
+    contents, _ = interleaved()
+    path = save_mat(tmp_path / "long.mat", contents, "7.3")
+    with h5py.File(path, "r+") as file:
+        rows, frames = len(contents["RcvData"][0]), 12_000_000 // 8
+        shape, chunks = (frames, ELEMENTS, rows), (64, ELEMENTS, rows)
+        file["RcvData"][0, 0] = file["#refs#"].create_dataset("b", shape, "i2", chunks=chunks).ref
+
+    used = resident_mb_after(
+        "from sonosweep.io.verasonics import read_verasonics\n"
+        "samples = read_verasonics(path).b_mode.samples\n"
+        f"assert len(samples) == {frames} and not any(samples[i].any() for i in (0, 700_000))",
+        path,
+    )
+
+    assert used < LARGEST_RESIDENT_MB

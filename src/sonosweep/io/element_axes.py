@@ -8,6 +8,8 @@ from sonosweep.errors import FormatError
 FLATNESS = 0.05
 """An array in one plane is thinner than this part of its width, and a straight one flatter."""
 
+FARTHEST_M = 100.0
+
 
 def plane_coordinates(
     positions: Float[np.ndarray, "elements xyz=3"],
@@ -20,7 +22,7 @@ def plane_coordinates(
     direction in which the elements look; the first element is on the left.
 
     Args:
-        positions: In any unit.
+        positions: In meters.
         looks_along: Direction in which the elements look on average; ``None`` looks from
             their middle to the file's origin, or along its last axis from a full ring.
         file_name: For messages.
@@ -29,9 +31,10 @@ def plane_coordinates(
         FormatError: If the elements do not lie in a plane, or nothing tells which is the
             plane of a straight array.
     """
+    check_places(positions, file_name)
     spread = positions - positions.mean(axis=0)
     _, sizes, axes = np.linalg.svd(spread, full_matrices=False)
-    if len(sizes) < 3 or not np.isfinite(sizes).all() or sizes[0] == 0:
+    if len(sizes) < 3 or sizes[0] == 0:
         raise FormatError(f"the elements of '{file_name}' are not at several places")
     if sizes[2] > FLATNESS * sizes[0]:
         raise FormatError(
@@ -51,6 +54,19 @@ def plane_coordinates(
     if (spread[-1] - spread[0]) @ lateral < 0:
         lateral = -lateral
     return positions @ np.column_stack([lateral, axial, np.cross(lateral, axial)])
+
+
+def check_places(positions_m: Float[np.ndarray, "elements xyz=3"], file_name: str) -> None:
+    """Refuse elements that are too few, or so far away that their places must be damaged.
+
+    Raises:
+        FormatError: If so.
+    """
+    if len(positions_m) < 2 or not np.abs(positions_m).max() < FARTHEST_M:
+        raise FormatError(
+            f"'{file_name}' must tell where at least 2 elements are, in meters and less than"
+            f" {FARTHEST_M:g} m from the origin"
+        )
 
 
 def _without(vector: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]) -> np.ndarray:

@@ -47,6 +47,7 @@ SAME_WAVELENGTH_NM = 0.01
 ASSUMED_SPEED_M_PER_S = 1500.0
 ASSUMED_FREQUENCY_HZ = 5e6
 MOST_ELEMENTS = 10_000
+LONGEST_DIRECTION = 1e6
 
 
 def is_ipasc(path: str | os.PathLike) -> bool:
@@ -73,8 +74,13 @@ def read_ipasc(path: str | os.PathLike, *, wavelength_nm: float | None = None) -
     file = Path(path)
     with open_hdf5(file) as opened:
         stored = get_dataset(opened, SAMPLES)
+        if not 2 <= len(stored.shape) <= 4:
+            raise FormatError(
+                f"{SAMPLES} of '{file.name}' must be elements, samples, wavelengths and frames, but"
+                f" has the shape {stored.shape}"
+            )
         place, taken_nm = _choose(opened, stored, wavelength_nm, file)
-        samples = _samples(stored, place, file)
+        samples = _samples(stored, place)
         notes = {} if taken_nm is None else {"wavelength": f"{taken_nm:g} nm"}
         probe = _probe(opened, file, notes)
         rate_hz = _numbers(opened, "meta_data/ad_sampling_rate")
@@ -92,18 +98,9 @@ def read_ipasc(path: str | os.PathLike, *, wavelength_nm: float | None = None) -
     return ChannelSweep(name=file.stem, photoacoustic=data, notes=notes)
 
 
-def _samples(stored: h5py.Dataset, place: int, file: Path) -> HDF5ChannelFrames:
-    orders: dict[int, tuple[str | int, ...]] = {
-        2: ("elements", "samples"),
-        3: ("elements", "samples", place),
-        4: ("elements", "samples", place, "frames"),
-    }
-    if len(stored.shape) not in orders:
-        raise FormatError(
-            f"{SAMPLES} of '{file.name}' must be elements, samples, wavelengths and frames, but"
-            f" has the shape {stored.shape}"
-        )
-    return channel_frames([stored], orders[len(stored.shape)])
+def _samples(stored: h5py.Dataset, place: int) -> HDF5ChannelFrames:
+    order: tuple[str | int, ...] = ("elements", "samples", place, "frames")
+    return channel_frames([stored], order[: len(stored.shape)])
 
 
 def _choose(
@@ -157,15 +154,19 @@ def _looks_along(
 ) -> np.ndarray | None:
     """Return the mean direction in which the elements look, ``None`` if nothing tells."""
     found = [_numbers(element, "detector_orientation") for element in elements]
-    rows = [row for row in found if row is not None and row.size == 3 and row.any()]
+    rows = [row for row in found if row is not None and _is_direction(row)]
     if len(rows) == len(elements):
         return np.mean([row / np.linalg.norm(row) for row in rows], axis=0)
     field = _numbers(opened, "meta_data_device/general/field_of_view")
     if field is not None and field.size == 6:
         towards = field.reshape(3, 2).mean(axis=1) - positions_m.mean(axis=0)
-        if towards.any():
+        if _is_direction(towards):
             return towards / np.linalg.norm(towards)
     return None
+
+
+def _is_direction(row: np.ndarray) -> bool:
+    return row.size == 3 and 0 < float(np.abs(row).max()) < LONGEST_DIRECTION
 
 
 def _frequency(element: h5py.Group, notes: dict[str, str]) -> float:

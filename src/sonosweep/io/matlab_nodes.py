@@ -157,6 +157,7 @@ class NewNode(MatNode):
 
     def __init__(self, name: str, item: h5py.Group | h5py.Dataset) -> None:
         self.name, self.item = name, item
+        self._references: dict[str, np.ndarray] = {}
         self._class = read_text_attribute(item, "MATLAB_class") or ""
         self.shape, self.kind = self._shape(), self._kind()
 
@@ -165,19 +166,21 @@ class NewNode(MatNode):
         if self.kind != "struct":
             raise self._refuse("a struct")
         self._check_item(item)
+        if self._is_array:
+            if name not in self._references and name in self.item:
+                self._references[name] = _read_references(self.item[name])
+            places = self._references.get(name)
+            where = f"{self.name}({item + 1}).{name}"
+            return None if places is None else self._follow(places, item, where)
         found = self.item.get(name)
-        if found is None:
-            return None
-        if not self._is_array:
-            return NewNode(f"{self.name}.{name}", found)
-        return self._dereference(found, item, f"{self.name}({item + 1}).{name}")
+        return None if found is None else NewNode(f"{self.name}.{name}", found)
 
     def cell(self, item: int) -> MatNode | None:
         """Return what a cell holds; ``None`` for an empty one."""
         if self.kind != "cell":
             raise self._refuse("cells")
         self._check_item(item)
-        node = self._dereference(self.item, item, f"{self.name}{{{item + 1}}}")
+        node = self._follow(_read_references(self.item), item, f"{self.name}{{{item + 1}}}")
         return node if node.count else None
 
     def numbers(self) -> np.ndarray:
@@ -221,12 +224,17 @@ class NewNode(MatNode):
             return "text"
         return "numbers" if self.item.dtype.kind in "buif" else "other"
 
-    def _dereference(self, dataset: h5py.Dataset, item: int, name: str) -> "NewNode":
-        if not _holds_references(dataset) or math.prod(dataset.shape) > MOST_ITEMS:
-            raise FormatError(f"{name} is damaged: it should be a reference")
-        index = np.unravel_index(item, dataset.shape[::-1], order="F")[::-1]
-        reference = dataset[tuple(int(k) for k in index)]
-        return NewNode(name, dataset.file[reference])
+    def _follow(self, places: np.ndarray, item: int, name: str) -> "NewNode":
+        if item >= len(places):
+            raise FormatError(f"{name} is damaged: there are {len(places)} entries")
+        return NewNode(name, self.item.file[places[item]])
+
+
+def _read_references(dataset: h5py.Dataset) -> np.ndarray:
+    """Return the references of an array of structs or cells, in MATLAB's order."""
+    if not _holds_references(dataset) or math.prod(dataset.shape) > MOST_ITEMS:
+        raise FormatError(f"'{dataset.name}' is damaged: it should hold references")
+    return np.asarray(dataset[()]).ravel()  # HDF5 keeps MATLAB's axes in reverse
 
 
 def _holds_references(item: object) -> bool:
@@ -238,15 +246,18 @@ def _holds_references(item: object) -> bool:
 
 
 class _OldVariables(Mapping[str, MatNode]):
-    """The variables of a version-5 file, each read when it is asked for."""
+    """The variables of a version-5 file, each read when it is first asked for."""
 
     def __init__(self, file: OldFile) -> None:
         self._file = file
         self._places = {array.name: place for array, place in file.variables()}
+        self._read: dict[str, OldNode] = {}
 
     def __getitem__(self, name: str) -> MatNode:
-        body = memoryview(self._file.body(self._places[name]))
-        return OldNode(name, body, self._file.order)
+        if name not in self._read:
+            body = memoryview(self._file.body(self._places[name]))
+            self._read[name] = OldNode(name, body, self._file.order)
+        return self._read[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)

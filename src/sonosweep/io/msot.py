@@ -51,6 +51,7 @@ from sonosweep.scan import ChannelData, ChannelSweep, LazyFrames, Probe
 
 MM_PER_M = 1000.0
 TICKS_PER_S = 1e7
+LONGEST_TIMESTAMP = 20
 HALF_RANGE = 2**15
 LARGEST_XML_MB = 256  # some hundred thousand frames
 ASSUMED_FREQUENCY_HZ = 5e6
@@ -239,7 +240,8 @@ def _shots(root: Element, file: Path) -> list[Shot]:
 def _ticks(frame: Element) -> float:
     text = frame.get("timestamp", "")
     # Since the year 1: the difference to a day nearby keeps 100 ns in a float64.
-    return float(int(text) - 630_000_000_000_000_000) if text.isdecimal() else math.nan
+    is_number = text.isdecimal() and len(text) < LONGEST_TIMESTAMP
+    return float(int(text) - 630_000_000_000_000_000) if is_number else math.nan
 
 
 def _with_wavelengths(shots: list[Shot], root: Element, file: Path) -> list[Shot]:

@@ -38,6 +38,7 @@ from sonosweep.io.matlab_variables import Variable, explaining, list_new, list_o
 from sonosweep.scan import ChannelData, ChannelSweep, Frames, LazyFrames, Probe
 
 MM_PER_M = 1000.0
+LARGEST_PITCH_M = 1.0
 LARGEST_PARAMETER = 4096 * 4096  # delays of 4096 transmits and elements
 
 
@@ -190,6 +191,8 @@ def _matrices(variable: Variable | None, file: Path) -> Frames:
 
 def _probe(parameters: Parameters, elements: int) -> Probe:
     pitch, radius = parameters.need("pitch"), parameters.get("radius")
+    if not 0 < pitch < LARGEST_PITCH_M:
+        raise FormatError(f"param.pitch must be above 0 and below 1 m, got {pitch:g}")
     width = parameters.get("width")
     if width is None:
         width = pitch - (parameters.get("kerf") or 0.0)

@@ -142,6 +142,8 @@ def _read_other(file: Path, suffix: str, variable: str | None) -> Scan:
     if suffix == ".mat":
         from sonosweep.io.matlab import read_mat
 
+        if variable is None:
+            _refuse_channel_data(file)
         return read_mat(file, variable=variable)
     from sonosweep.io.dicom_cine import read_dicom_cine
     from sonosweep.io.dicom_frames import is_dicom
@@ -150,6 +152,7 @@ def _read_other(file: Path, suffix: str, variable: str | None) -> Scan:
         return read_dicom_cine(file)
     if suffix in IMAGES:
         raise FormatError(f"'{file.name}' is one image; give the folder that holds all of them")
+    _refuse_channel_data(file)
     raise FormatError(f"'{file.name}' is of no format we know; we read {KNOWN}")
 
 
@@ -182,7 +185,17 @@ def _read_hdf5(file: Path, variable: str | None) -> Scan:
     for recognizes, read in layouts:
         if recognizes(file):
             return read(file)
+    _refuse_channel_data(file)
     raise FormatError(f"'{file.name}' is HDF5 but of no layout we know; see docs/formats.md")
+
+
+def _refuse_channel_data(path: Path) -> None:
+    from sonosweep.io.open_channel_data import is_channel_data
+
+    if is_channel_data(path):
+        raise FormatError(
+            f"'{path.name}' holds channel data, not images: use 'sonosweep beamform' first"
+        )
 
 
 def _read_folder(folder: Path) -> Scan:
@@ -195,4 +208,5 @@ def _read_folder(folder: Path) -> Scan:
         return read_images(folder)
     if any(child.suffix.lower() == ".dcm" or is_dicom(child) for child in files):
         return read_dicom_cine(folder)
+    _refuse_channel_data(folder)
     raise FormatError(f"folder '{folder.name}' holds neither images nor DICOM files")

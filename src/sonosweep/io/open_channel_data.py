@@ -5,12 +5,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from sonosweep.errors import FormatError
+from sonosweep.errors import FormatError, SonosweepError
 from sonosweep.io.open import HDF5, printable
 from sonosweep.scan import ChannelSweep
 
 KNOWN = "MUST and Verasonics (.mat), HDF5 (.h5 .hdf5 .uff) and MSOT (.msot or its folder)"
 CHANNEL_HDF5 = (*HDF5, ".uff")
+Reader = Callable[[Path], ChannelSweep]
 
 
 def open_channel_data(
@@ -38,7 +39,24 @@ def open_channel_data(
     return replace(sweep, name=printable(sweep.name))
 
 
+def is_channel_data(path: str | os.PathLike) -> bool:
+    """Say whether :func:`open_channel_data` knows the format of a file or folder."""
+    from sonosweep.io.msot import is_msot
+
+    file = Path(path)
+    try:
+        if is_msot(file):
+            return True
+        if not file.is_file():
+            return False
+        return _mat_reader(file) is not None or _hdf5_reader(file) is not None
+    except SonosweepError:
+        return False
+
+
 def _read(file: Path, wavelength_nm: float | None) -> ChannelSweep:
+    from sonosweep.io.hdf5_access import open_hdf5
+    from sonosweep.io.ipasc import read_ipasc
     from sonosweep.io.msot import is_msot, read_msot
 
     if is_msot(file):
@@ -47,49 +65,58 @@ def _read(file: Path, wavelength_nm: float | None) -> ChannelSweep:
         raise FormatError(f"folder '{file.name}' holds no channel data; we read {KNOWN}")
     if file.stat().st_size == 0:
         raise FormatError(f"'{file.name}' is empty")
-    if file.suffix.lower() == ".mat":
-        return _read_mat(file)
     if file.suffix.lower() in CHANNEL_HDF5:
-        return _read_hdf5(file, wavelength_nm)
-    raise FormatError(f"'{file.name}' is of no format that holds channel data; we read {KNOWN}")
+        with open_hdf5(file):  # says it if the file is damaged, which is no question of layout
+            pass
+    read = _mat_reader(file) or _hdf5_reader(file)
+    if read is None:
+        raise FormatError(_unknown(file))
+    if read is read_ipasc:
+        return read_ipasc(file, wavelength_nm=wavelength_nm)
+    if wavelength_nm is not None:
+        raise FormatError(f"'{file.name}' does not tell wavelengths: leave out wavelength_nm")
+    return read(file)
 
 
-def _read_mat(file: Path) -> ChannelSweep:
+def _mat_reader(file: Path) -> Reader | None:
     from sonosweep.io.must import is_must, read_must
     from sonosweep.io.verasonics import is_verasonics, read_verasonics
 
+    if file.suffix.lower() != ".mat":
+        return None
     if is_verasonics(file):
-        return read_verasonics(file)
-    if is_must(file):
-        return read_must(file)
-    raise FormatError(
-        f"'{file.name}' holds no channel data that we know: neither Verasonics' RcvData and Trans"
-        " nor MUST's RF and param"
-    )
+        return read_verasonics
+    return read_must if is_must(file) else None
 
 
-def _read_hdf5(file: Path, wavelength_nm: float | None) -> ChannelSweep:
+def _hdf5_reader(file: Path) -> Reader | None:
+    """Ask each layout whether the file is one of its own."""
     from sonosweep.io.channel_hdf5 import is_channel_hdf5, read_channels
-    from sonosweep.io.hdf5 import is_scan_hdf5
-    from sonosweep.io.hdf5_access import open_hdf5
     from sonosweep.io.ipasc import is_ipasc, read_ipasc
     from sonosweep.io.picmus import is_picmus, read_picmus
     from sonosweep.io.uff import is_uff, read_uff
 
-    with open_hdf5(file):  # says it if the file is damaged, which is no question of layout
-        pass
-    if is_ipasc(file):
-        return read_ipasc(file, wavelength_nm=wavelength_nm)
-    layouts: tuple[tuple[Callable[[Path], bool], Callable[[Path], ChannelSweep]], ...] = (
+    if file.suffix.lower() not in CHANNEL_HDF5:
+        return None
+    layouts: tuple[tuple[Callable[[Path], bool], Reader], ...] = (
         (is_channel_hdf5, read_channels),
+        (is_ipasc, read_ipasc),
         (is_picmus, read_picmus),
         (is_uff, read_uff),
     )
-    for recognizes, read in layouts:
-        if recognizes(file):
-            return read(file)
-    if is_scan_hdf5(file):
-        raise FormatError(
-            f"'{file.name}' is a scan, which is beamformed already: use 'sonosweep reconstruct'"
+    return next((read for recognizes, read in layouts if recognizes(file)), None)
+
+
+def _unknown(file: Path) -> str:
+    from sonosweep.io.hdf5 import is_scan_hdf5
+
+    if file.suffix.lower() == ".mat":
+        return (
+            f"'{file.name}' holds no channel data that we know: neither Verasonics' RcvData and"
+            " Trans nor MUST's RF and param"
         )
-    raise FormatError(f"'{file.name}' is HDF5 but holds no channel data of a layout we know")
+    if file.suffix.lower() not in CHANNEL_HDF5:
+        return f"'{file.name}' is of no format that holds channel data; we read {KNOWN}"
+    if is_scan_hdf5(file):
+        return f"'{file.name}' is a scan, which is beamformed already: use 'sonosweep reconstruct'"
+    return f"'{file.name}' is HDF5 but holds no channel data of a layout we know"

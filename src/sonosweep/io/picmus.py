@@ -29,6 +29,7 @@ import torch
 
 from sonosweep.errors import FormatError, SonosweepError
 from sonosweep.io.channel_frames import HDF5ChannelFrames, channel_frames
+from sonosweep.io.element_axes import check_places
 from sonosweep.io.hdf5_access import get_dataset, open_hdf5, read_array
 from sonosweep.scan import ChannelData, ChannelSweep, Probe
 
@@ -123,9 +124,9 @@ def _number(group: h5py.Group, name: str, default: float | None = None) -> float
 def _probe(group: h5py.Group, frequency_hz: float) -> Probe:
     x, y, z = read_array(group, "probe_geometry", (3, None))
     # z points into the body: turned, not mirrored.
-    positions_mm = np.column_stack([x, z, -y]) * MM_PER_M
-    if len(positions_mm) < 2:
-        raise FormatError(f"'{Path(group.file.filename).name}' has fewer than 2 elements")
+    positions_m = np.column_stack([x, z, -y])
+    check_places(positions_m, Path(group.file.filename).name)
+    positions_mm = positions_m * MM_PER_M
     return Probe(
         name="PICMUS",
         element_positions_mm=torch.from_numpy(positions_mm),

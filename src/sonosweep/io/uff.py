@@ -42,6 +42,7 @@ from torch import Tensor
 
 from sonosweep.errors import FormatError, SonosweepError
 from sonosweep.io.channel_frames import HDF5ChannelFrames, channel_frames
+from sonosweep.io.element_axes import check_places
 from sonosweep.io.hdf5_access import get_dataset, open_hdf5, read_array
 from sonosweep.scan import ChannelData, ChannelSweep, Probe
 
@@ -231,9 +232,9 @@ def _probe(group: h5py.Group, frequency_hz: float) -> Probe:
     else:
         x, y, z, width, height = _regular(group)
     # z points into the body: turned, not mirrored.
-    positions_mm = np.column_stack([x, z, -y]) * MM_PER_M
-    if len(positions_mm) < 2:
-        raise FormatError(f"'{Path(group.file.filename).name}' has fewer than 2 elements")
+    positions_m = np.column_stack([x, z, -y])
+    check_places(positions_m, Path(group.file.filename).name)
+    positions_mm = positions_m * MM_PER_M
     pitch_mm = float(np.median(np.linalg.norm(np.diff(positions_mm, axis=0), axis=1)))
     width_mm, height_mm = (float(np.median(value)) * MM_PER_M for value in (width, height))
     return Probe(

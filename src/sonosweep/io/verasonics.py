@@ -59,6 +59,7 @@ from torch import Tensor
 
 from sonosweep.errors import FormatError
 from sonosweep.io.channel_frames import channel_frames, check_sizes
+from sonosweep.io.element_axes import check_places
 from sonosweep.io.matlab_nodes import MatNode, NewNode, open_mat
 from sonosweep.io.verasonics_frames import BufferFrames
 from sonosweep.io.verasonics_sequence import (
@@ -177,6 +178,7 @@ def _array(variables: Mapping[str, MatNode]) -> tuple[Probe, Machine]:
     wavelength_mm = speed / frequency_hz * MM_PER_M
     unit_mm = _unit_mm(trans, wavelength_mm)
     positions_mm = _positions(trans) * unit_mm
+    check_places(positions_mm / MM_PER_M, "Trans.ElementPos")
     width = optional_number(trans.field("elementWidth"))
     pitch_mm = float(np.median(np.linalg.norm(np.diff(positions_mm, axis=0), axis=1)))
     named = trans.field("name")

@@ -152,9 +152,10 @@ def _first_frame(receive: MatNode, buffers: set[int]) -> list[int]:
         if (optional_number(receive.field("framenum", k)) or 1) != 1:
             continue
         buffer = int(optional_number(receive.field("bufnum", k)) or 1) - 1
+        if buffer not in buffers or (optional_number(receive.field("mode", k)) or 0) != 0:
+            continue
         place = buffer, optional_number(receive.field("acqNum", k))
-        accumulates = (optional_number(receive.field("mode", k)) or 0) != 0
-        if buffer in buffers and not accumulates and place not in seen:
+        if place not in seen:
             seen.add(place)
             found.append(k)
     if not found:
