@@ -86,10 +86,9 @@ def test_files_of_several_frames_are_read(tmp_path):
         ({"sampling_frequency": None}, "no data set 'sampling_frequency'"),
         ({"sampling_frequency": np.array([0.0])}, "must be above 0"),
         ({"probe_geometry": np.zeros((4, 3))}, "must have the shape 3 x any"),
-        (
-            {"probe_geometry": np.zeros((3, 9))},
-            "4 channels but probe 'PICMUS' has 9|must be above 0",
-        ),
+        ({"probe_geometry": np.zeros((3, 4))}, "element width .* must be above 0"),
+        ({"probe_geometry": np.full((3, 4), 1e300)}, "less than 100 m from the origin"),
+        ({"probe_geometry": np.ones((3, 9)) * np.arange(9)}, "4 channels but probe 'PICMUS' has 9"),
         ({"sound_speed": np.ones(2)}, "'sound_speed' in 'a.hdf5' must be one number"),
     ],
 )
