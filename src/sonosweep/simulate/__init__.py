@@ -11,9 +11,11 @@ from sonosweep.simulate.channels import (
     simulate_photoacoustic,
     simulate_plane_waves,
 )
+from sonosweep.simulate.datasets import DatasetRecipe, PlannedScan, dataset_recipe
 from sonosweep.simulate.deformation import STILL, Deformation, PulsingArtery
 from sonosweep.simulate.doppler_frames import DopplerSettings
 from sonosweep.simulate.forearm import forearm
+from sonosweep.simulate.make import dataset_files, make_dataset
 from sonosweep.simulate.motion import MotionSettings, sweep_poses
 from sonosweep.simulate.phantoms import cyst_phantom, uniform_phantom, vessel_phantom, wire_phantom
 from sonosweep.simulate.photoacoustic_frames import PhotoacousticSettings
@@ -35,10 +37,12 @@ __all__ = [
     "Body",
     "BodyMotionSettings",
     "ChannelSweepSettings",
+    "DatasetRecipe",
     "Deformation",
     "DopplerSettings",
     "MotionSettings",
     "PhotoacousticSettings",
+    "PlannedScan",
     "PulsingArtery",
     "Scanner",
     "SpeckleRenderer",
@@ -47,10 +51,13 @@ __all__ = [
     "TrackerSettings",
     "Vessel",
     "cyst_phantom",
+    "dataset_files",
+    "dataset_recipe",
     "draw_sweep",
     "forearm",
     "linear_probe",
     "linear_probe_l11_5v",
+    "make_dataset",
     "plane_wave_delays",
     "refuse_test_subjects",
     "render_points",
