@@ -132,7 +132,7 @@ def test_small_data_set_1_tests_as_long_sweeps_as_the_full_one():
 
     assert counts(recipe) == (30, 6, 18)
     assert min(scan.motion.frames for scan in tests) >= 900
-    assert {scan.pixels for scan in recipe.scans} == {(128, 128)}
+    assert {scan.pixels for scan in recipe.scans} == {(256, 256)}
 
 
 @pytest.mark.parametrize("name", ["dataset2", "dataset3"])

@@ -114,9 +114,9 @@ def dataset_recipe(name: str, size: str = "full", seed: int = 0) -> DatasetRecip
 
     Args:
         name: ``"dataset1"``, ``"dataset2"`` or ``"dataset3"``.
-        size: ``"full"`` or ``"small"``, which has 128 x 128 pixels over the same field of
-            view (data set 3: 320 x 240) and shorter scans; those of data set 1 for tests are
-            as long as in the full set.
+        size: ``"full"`` or ``"small"``, which has shorter scans and, in data set 3, frames of
+            320 x 240 pixels; the scans of data set 1 for tests are as long as in the full
+            set.
         seed: From 0 to 99.
 
     Raises:
@@ -157,7 +157,6 @@ def _dataset1(small: bool, seed: int) -> list[PlannedScan]:
                     part=part,
                     side=side,
                     motion=_s_shape(draw, length_mm, frames),
-                    pixels=(128, 128) if small else (256, 256),
                 )
             )
     return scans
@@ -181,7 +180,6 @@ def _dataset2(small: bool, seed: int) -> list[PlannedScan]:
                     part=part,
                     side=side,
                     motion=_s_shape(draw, STEP_MM * frames, frames),
-                    pixels=(128, 128) if small else (256, 256),
                     modalities=("power_doppler", "photoacoustic"),
                 )
             )
