@@ -15,6 +15,7 @@ from sonosweep.simulate.tissue_motion import body_to_plane
 
 BLOOD_PER_MM3 = 60.0
 SLICE_WIDTHS = 1.5  # to either side of the plane; an echo has fallen to exp(-4.5) there
+FASTEST_EDDY_MM_PER_S = 50.0
 MARGIN_MM = 1.0  # beside the image, wider than a beam
 
 
@@ -59,6 +60,20 @@ def draw_blood(
         factor = (speed_factors or {}).get(vessel.kind, 1.0)
         velocities.append(factor * velocity @ affine[:3, :3].T)
     return Blood(push_aside(np.concatenate(places), deformation), np.concatenate(velocities))
+
+
+def disturbed(
+    velocities_mm_per_s: Float[np.ndarray, "cells xyz=3"],
+    deviation: float,
+    generator: np.random.Generator,
+) -> Float[np.ndarray, "cells xyz=3"]:
+    """Return velocities with a random part, of this deviation in parts of each cell's speed.
+
+    It stays below 50 mm/s, so that no cell leaves its vessel within an ensemble.
+    """
+    speeds = deviation * np.linalg.norm(velocities_mm_per_s, axis=1, keepdims=True)
+    limited = speeds / np.hypot(1, speeds / FASTEST_EDDY_MM_PER_S)
+    return velocities_mm_per_s + limited * generator.standard_normal(velocities_mm_per_s.shape)
 
 
 def push_aside(

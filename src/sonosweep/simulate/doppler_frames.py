@@ -24,6 +24,11 @@ class DopplerSettings:
         pulse_repetition_hz: Their rate.
         blood_db: Mean level of blood, as the levels of the scanner.
         noise_db: Electronic noise of a pulse, as the level of the scanner's.
+        flow: How many times faster than at rest blood flows: an arm that is warm or has
+            worked has more flow.
+        disturbance: Standard deviation of each component of the velocity of blood cells,
+            in parts of their speed. Without it, flow straight through the image would be
+            seen by the width of the slice alone.
         tissue_speed_mm_per_s: Standard deviation of the axial speed with which tissue
             moves, differently from place to place, on top of the probe's motion.
         rank: Of the clutter filter.
@@ -33,8 +38,10 @@ class DopplerSettings:
 
     pulses: int = 20
     pulse_repetition_hz: float = 3000.0
-    blood_db: float = -45.0
+    blood_db: float = -50.0
     noise_db: float = -85.0
+    flow: float = 2.0
+    disturbance: float = 0.25
     tissue_speed_mm_per_s: float = 1.0
     rank: Rank = "auto"
     black_db: float = 6.0
@@ -51,7 +58,11 @@ class DopplerSettings:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ScanError(f"{name} of power Doppler must be above 0, got {value:g}")
-        for name in ("blood_db", "noise_db", "tissue_speed_mm_per_s", "black_db"):
+        for name in ("flow", "disturbance", "tissue_speed_mm_per_s"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise ScanError(f"{name} of power Doppler must be 0 or more, got {value:g}")
+        for name in ("blood_db", "noise_db", "black_db"):
             if not np.isfinite(getattr(self, name)):
                 raise ScanError(f"{name} of power Doppler must be a number")
 

@@ -110,9 +110,10 @@ class SweepEchoes:
         """Return how tissue is displaced at a time."""
         return self.body_motion.deformation_at(time_s, plane_to_body, self.body)
 
-    def render(self, time_s: float) -> Complex64[np.ndarray, "rows columns"]:
-        """Return the echoes at a time as if nothing attenuated."""
-        pose = self.pose_at(time_s)
+    def render(
+        self, plane_to_body: Float[np.ndarray, "4 4"], deformation: Deformation
+    ) -> Complex64[np.ndarray, "rows columns"]:
+        """Return the echoes of a plane as if nothing attenuated."""
         with self._lock:
             if self._renderer is None:
                 self._renderer = SpeckleRenderer(
@@ -124,7 +125,7 @@ class SweepEchoes:
                     engine=self._engine,
                     device=self._device,
                 )
-            return self._renderer.iq(pose, self.deformation_at(time_s, pose))
+            return self._renderer.iq(plane_to_body, deformation)
 
     def at(self, frame: int) -> Echoes:
         """Return the echoes of a frame."""
@@ -147,8 +148,8 @@ class SweepEchoes:
     def _hear(self, frame: int) -> Echoes:
         time = float(self.times_s[frame])
         pose = self.pose_at(time)
-        iq = self.render(time)
         deformation = self.deformation_at(time, pose)
+        iq = self.render(pose, deformation)
         tissue = sample_plane(self.body.tissue, self.body, pose, self.lines, deformation)
         fill_with_gel(tissue)
         noise = self.generator(f"noise {frame}")

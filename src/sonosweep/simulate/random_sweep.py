@@ -21,7 +21,7 @@ speckle reduction           0 (30 %) or 0.3 to 0.9              the preset
 compression                 0 to 0.08, changing by 0 to 0.015   pressure of the hand
 pulse                       0 to 0.12 of the radius, 50-100/min arteries of the arm
 breathing                   0 to 0.4 mm, 12 to 20/min           an arm at rest
-blood, its noise            -50 to -42 dB, -90 to -80 dB        power Doppler
+blood, its noise, its flow  -54 to -46, -90 to -80 dB, 1.5 to 3 power Doppler
 =========================== =================================== ================================
 
 A convex probe has 2.6 to 3.6 MHz, a radius of 40 mm, wider beams and less haze.
@@ -99,9 +99,10 @@ def draw_sweep(
         sector=CONVEX_SECTOR if probe == "convex" else None,
         modalities=modalities,
         doppler=DopplerSettings(
-            blood_db=draw.uniform(-50, -42),
+            blood_db=draw.uniform(-54, -46),
             noise_db=draw.uniform(-90, -80),
-            tissue_speed_mm_per_s=draw.uniform(0.3, 2),
+            flow=draw.uniform(1.5, 3),
+            tissue_speed_mm_per_s=draw.uniform(0.2, 1),
         ),
         tracker=tracker,
     )

@@ -4,14 +4,14 @@ import numpy as np
 from jaxtyping import Complex64
 
 from sonosweep.scan import LazyFrames
-from sonosweep.simulate.blood import amplitudes_for_level, draw_blood
+from sonosweep.simulate.blood import amplitudes_for_level, disturbed, draw_blood
 from sonosweep.simulate.doppler_frames import add_noise, power_levels, tissue_ensemble
 from sonosweep.simulate.echoes import SweepEchoes
 from sonosweep.simulate.photoacoustic_frames import photoacoustic_iq
 from sonosweep.simulate.scanner import gray_levels, remaining_amplitude, with_bone
 from sonosweep.simulate.speckle import render_points
 
-BEAT_REST, BEAT_PEAK = 0.5, 1.6  # arterial flow in parts of its mean: at rest, and more by
+BEAT_REST, BEAT_PEAK = 0.6, 1.28  # arterial flow in parts of its mean: at rest, and more by
 
 
 class BModeFrames(LazyFrames):
@@ -92,21 +92,22 @@ def doppler_ensemble(
     """Return the pulses of a frame before the clutter filter: tissue, blood and noise."""
     chosen, grid, beam = echoes.settings.doppler, echoes.settings.grid, echoes.settings.beam
     start, draws = float(echoes.times_s[frame]), echoes.generator(f"doppler {frame}")
+    end = start + float(chosen.pulse_times_s[-1])
     heard, prepared = echoes.at(frame), echoes.prepared
+    last_pose = echoes.pose_at(end)
     first = with_bone(heard.iq, heard.tissue, prepared)
-    last_iq = echoes.render(start + float(chosen.pulse_times_s[-1]))
+    last_iq = echoes.render(last_pose, echoes.deformation_at(end, last_pose))
     last = with_bone(last_iq, heard.tissue, prepared)
     ensemble = tissue_ensemble(first, last, chosen, beam, grid.spacing_mm, draws)
     pose = echoes.pose_at(start)
-    flow = {"artery": BEAT_REST + BEAT_PEAK * echoes.body_motion.pulse_at(start)}
-    blood = draw_blood(
-        echoes.body, pose, grid, beam, draws, echoes.deformation_at(start, pose), flow
-    )
+    beat = BEAT_REST + BEAT_PEAK * echoes.body_motion.pulse_at(start)
+    flow = {"artery": beat * chosen.flow, "vein": chosen.flow}
+    deformation = echoes.deformation_at(start, pose)
+    blood = draw_blood(echoes.body, pose, grid, beam, draws, deformation, flow)
+    velocity = disturbed(blood.velocities_mm_per_s, chosen.disturbance, draws)
     level = amplitudes_for_level(chosen.blood_db, blood.places_mm[:, 1], grid, beam)
     for pulse, time in zip(ensemble, chosen.pulse_times_s, strict=True):
-        pulse += render_points(
-            blood.places_mm + time * blood.velocities_mm_per_s, level, beam, grid
-        )
+        pulse += render_points(blood.places_mm + time * velocity, level, beam, grid)
     ensemble *= remaining_amplitude(heard.tissue, prepared)
     add_noise(ensemble, chosen.noise_db, draws)
     return ensemble
