@@ -27,5 +27,10 @@ check: .venv/.dev      ## format, lint, types, layers, pinned dependencies, docu
 	$(MAKE) --no-print-directory docs
 docs: .venv/.dev       ## build the documentation; warnings are errors
 	$(BIN)/sphinx-build -q -W --keep-going docs docs/_build
-bench: .venv/.dev      ## time the main steps against plain NumPy and the machine's limits
+.venv/.bench: .venv/.dev
+	$(PIP) --editable '.[bench]'
+	@touch $@
+bench: .venv/.bench    ## time the main steps against peers, plain NumPy and the machine's limits
 	$(BIN)/python benchmarks/compounding.py && $(BIN)/python benchmarks/decorrelation.py
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/beamforming.py
