@@ -4,17 +4,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 
 from sonosweep.imaging import PixelGrid
 from sonosweep.simulate.beam import Beam
-from sonosweep.simulate.body import Body, Vessel
+from sonosweep.simulate.body import Body
 from sonosweep.simulate.deformation import STILL, Deformation
 from sonosweep.simulate.point_spread import point_spread, slice_width_mm
 from sonosweep.simulate.tissue_motion import body_to_plane
 
-BLOOD_PER_MM3 = 60.0
-SLICE_WIDTHS = 1.5  # to either side of the plane; an echo has fallen to exp(-4.5) there
+CELLS_PER_RESOLUTION_CELL = 2.0
+SLICE_WIDTHS = 1.4  # to either side of the plane; an echo has fallen to 2 % there
 FASTEST_EDDY_MM_PER_S = 50.0
 MARGIN_MM = 1.0  # beside the image, wider than a beam
 
@@ -30,6 +30,12 @@ class Blood:
 
     places_mm: Float[np.ndarray, "cells xyz=3"]
     velocities_mm_per_s: Float[np.ndarray, "cells xyz=3"]
+
+
+def blood_per_mm3(beam: Beam) -> float:
+    """Return how many cells to draw: as many per resolution cell of any beam, about two."""
+    cell = beam.axial_fwhm_mm * beam.lateral_fwhm_mm * beam.elevation_waist_mm
+    return CELLS_PER_RESOLUTION_CELL / cell
 
 
 def draw_blood(
@@ -52,14 +58,13 @@ def draw_blood(
         deformation: How tissue is displaced now.
         speed_factors: By kind of vessel, how much faster than on average blood flows now.
     """
+    if not body.vessels:
+        return Blood(np.zeros((0, 3)), np.zeros((0, 3)))
     affine = body_to_plane(plane_to_body, deformation)
-    places, velocities = [np.zeros((0, 3))], [np.zeros((0, 3))]
-    for vessel in body.vessels:
-        place, velocity = _cells(vessel, affine, grid, beam, generator)
-        places.append(place @ affine[:3, :3].T + affine[:3, 3])
-        factor = (speed_factors or {}).get(vessel.kind, 1.0)
-        velocities.append(factor * velocity @ affine[:3, :3].T)
-    return Blood(push_aside(np.concatenate(places), deformation), np.concatenate(velocities))
+    tubes = _tubes(body, speed_factors or {})
+    places, velocities = _cells(tubes, affine, grid, beam, generator)
+    places = places @ affine[:3, :3].T + affine[:3, 3]
+    return Blood(push_aside(places, deformation), velocities @ affine[:3, :3].T)
 
 
 def disturbed(
@@ -90,56 +95,78 @@ def push_aside(
 
 
 def amplitudes_for_level(
-    level_db: float,
-    depths_mm: Float[np.ndarray, " points"],
-    grid: PixelGrid,
-    beam: Beam,
-    density_per_mm3: float = BLOOD_PER_MM3,
-) -> Float[np.ndarray, " points"]:
-    """Return amplitudes of points so dense that the mean power of their echoes is a level."""
+    level_db: float, depths_mm: Float[np.ndarray, " cells"], grid: PixelGrid, beam: Beam
+) -> Float[np.ndarray, " cells"]:
+    """Return amplitudes of cells of blood such that the mean power of their echoes is a level."""
     gain = np.interp(depths_mm, grid.axial_mm, point_spread(grid, beam).row_gain)
-    return gain * 10 ** (level_db / 20) / np.sqrt(density_per_mm3)
+    return gain * 10 ** (level_db / 20) / np.sqrt(blood_per_mm3(beam))
+
+
+@dataclass(frozen=True, eq=False)
+class _Tubes:
+    """Straight pieces of all vessels, in body coordinates.
+
+    Attributes:
+        start_mm: Of each piece.
+        step_mm: From its start to its end.
+        radius_mm: Of its lumen.
+        speed_mm_per_s: Mean over its cross-section.
+    """
+
+    start_mm: Float[np.ndarray, "pieces xyz=3"]
+    step_mm: Float[np.ndarray, "pieces xyz=3"]
+    radius_mm: Float[np.ndarray, " pieces"]
+    speed_mm_per_s: Float[np.ndarray, " pieces"]
+
+
+def _tubes(body: Body, speed_factors: Mapping[str, float]) -> _Tubes:
+    lines = [vessel.centerline_mm for vessel in body.vessels]
+    speeds = [
+        np.full(len(line) - 1, vessel.mean_speed_mm_per_s * speed_factors.get(vessel.kind, 1.0))
+        for vessel, line in zip(body.vessels, lines, strict=True)
+    ]
+    return _Tubes(
+        np.concatenate([line[:-1] for line in lines]),
+        np.concatenate([line[1:] - line[:-1] for line in lines]),
+        np.concatenate([vessel.radius_mm[:-1] for vessel in body.vessels]),
+        np.concatenate(speeds),
+    )
 
 
 def _cells(
-    vessel: Vessel,
+    tubes: _Tubes,
     affine: Float[np.ndarray, "4 4"],
     grid: PixelGrid,
     beam: Beam,
     generator: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "cells xyz=3"], Float[np.ndarray, "cells xyz=3"]]:
-    """Return places and velocities of the cells of one vessel, in body coordinates."""
-    seen = vessel.centerline_mm @ affine[:3, :3].T + affine[:3, 3]
-    near = _near(seen, vessel.radius_mm, grid, beam)
-    steps = np.diff(vessel.centerline_mm, axis=0)[near]
+    """Return places and velocities of random cells, in body coordinates."""
+    near = _near(tubes, affine, grid, beam)
+    steps, radii = tubes.step_mm[near], tubes.radius_mm[near]
     lengths = np.linalg.norm(steps, axis=1)
-    radii = vessel.radius_mm[:-1][near]
-    counts = generator.poisson(BLOOD_PER_MM3 * np.pi * radii**2 * lengths)
+    counts = generator.poisson(blood_per_mm3(beam) * np.pi * radii**2 * lengths)
     along, turn, share = generator.random((3, counts.sum()))
     outward, angle = np.sqrt(share), 2 * np.pi * turn
     ahead = steps / np.maximum(lengths, 1e-9)[:, np.newaxis]
     first, second = _upright(ahead)
     owner = np.repeat(np.arange(len(counts)), counts)
     reach = (radii[owner] * outward)[:, np.newaxis]
-    places = vessel.centerline_mm[:-1][near][owner] + along[:, np.newaxis] * steps[owner]
+    places = tubes.start_mm[near][owner] + along[:, np.newaxis] * steps[owner]
     places += reach * np.cos(angle)[:, np.newaxis] * first[owner]
     places += reach * np.sin(angle)[:, np.newaxis] * second[owner]
-    speed = 2 * vessel.mean_speed_mm_per_s * (1 - outward**2)
+    speed = 2 * tubes.speed_mm_per_s[near][owner] * (1 - share)
     return places, speed[:, np.newaxis] * ahead[owner]
 
 
 def _near(
-    line_mm: Float[np.ndarray, "points xyz=3"],
-    radius_mm: Float[np.ndarray, " points"],
-    grid: PixelGrid,
-    beam: Beam,
-) -> np.ndarray:
-    """Return which steps of a center line come into the slice that is imaged."""
-    low = np.minimum(line_mm[:-1], line_mm[1:])
-    high = np.maximum(line_mm[:-1], line_mm[1:])
-    radius = np.maximum(radius_mm[:-1], radius_mm[1:])
-    thick = SLICE_WIDTHS * slice_width_mm(beam, np.maximum(low[:, 1], 0.0)) + radius
-    lateral, axial, margin = grid.lateral_mm, grid.axial_mm, radius + MARGIN_MM
+    tubes: _Tubes, affine: Float[np.ndarray, "4 4"], grid: PixelGrid, beam: Beam
+) -> Int64[np.ndarray, " near"]:
+    """Return which pieces come into the slice that is imaged."""
+    first = tubes.start_mm @ affine[:3, :3].T + affine[:3, 3]
+    last = first + tubes.step_mm @ affine[:3, :3].T
+    low, high = np.minimum(first, last), np.maximum(first, last)
+    thick = SLICE_WIDTHS * slice_width_mm(beam, np.maximum(low[:, 1], 0.0)) + tubes.radius_mm
+    lateral, axial, margin = grid.lateral_mm, grid.axial_mm, tubes.radius_mm + MARGIN_MM
     return np.flatnonzero(
         (low[:, 2] < thick)
         & (high[:, 2] > -thick)

@@ -15,7 +15,7 @@ from sonosweep.simulate.point_spread import slice_width_mm
 from sonosweep.simulate.speckle import render_points
 from sonosweep.simulate.tissue_motion import body_to_plane
 
-MELANIN_STEP_MM = (0.1, 0.25)  # between absorbers of the skin, lateral and elevational
+MELANIN_STEP_MM = (0.2, 0.5)  # between absorbers of the skin, lateral and elevational
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _melanin(
 ) -> Float[np.ndarray, "absorbers xyz=3"]:
     """Return absorbers on the skin's outer surface, in plane coordinates."""
     lateral = np.arange(grid.lateral_mm[0] - 1, grid.lateral_mm[-1] + 1, MELANIN_STEP_MM[0])
-    reach = 1.6 * float(slice_width_mm(beam, np.zeros(1))[0])
+    reach = 1.4 * float(slice_width_mm(beam, np.zeros(1))[0])
     height = np.arange(-reach, reach, MELANIN_STEP_MM[1])
     x, z = (places.ravel() for places in np.meshgrid(lateral, height))
     affine = body_to_plane(plane_to_body, deformation)
