@@ -18,7 +18,6 @@ from sonosweep.simulate.scanner import (
     prepare_scanner,
     receive_echoes,
     remaining_amplitude,
-    scan_frame,
 )
 
 SILENT = -300.0
@@ -204,11 +203,11 @@ def test_speckle_reduction_smooths_speckle_and_keeps_the_mean() -> None:
     assert variation[0] > variation[1] + 0.1 > variation[2] + 0.2
 
 
-def test_the_same_seed_gives_the_same_image() -> None:
-    """An image depends on its echoes and its noise alone."""
+def test_the_same_seed_gives_the_same_echoes() -> None:
+    """What is received depends on the echoes and the noise alone."""
     prepared = prepare_scanner(Scanner(), Beam(), PAPER_GRID, random())
     first, second, other = (
-        scan_frame(speckle(), tissue(), prepared, random(seed))[0] for seed in (5, 5, 6)
+        receive_echoes(speckle(), tissue(), prepared, random(seed)) for seed in (5, 5, 6)
     )
     assert np.array_equal(first, second)
     assert not np.array_equal(first, other)

@@ -262,17 +262,6 @@ def gray_map(scanner: Scanner) -> UInt8[np.ndarray, "256"]:
     return np.rint(255 * curved).astype(np.uint8)
 
 
-def scan_frame(
-    iq: Complex64[np.ndarray, "rows columns"],
-    tissue: UInt8[np.ndarray, "rows columns"],
-    prepared: PreparedScanner,
-    generator: np.random.Generator,
-) -> tuple[UInt8[np.ndarray, "rows columns"], Float32[np.ndarray, "rows columns"]]:
-    """Return the B-mode image of one frame without persistence, and its amplitude."""
-    amplitude = detect([receive_echoes(iq, tissue, prepared, generator)], prepared.scanner)
-    return gray_levels(amplitude, prepared.scanner), amplitude
-
-
 def line_geometry(grid: PixelGrid | SectorGrid, beam: Beam) -> tuple[np.ndarray, float, float]:
     """Return the depth of each row, the distance of rows and that of columns, mm."""
     if isinstance(grid, PixelGrid):
