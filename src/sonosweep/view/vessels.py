@@ -139,7 +139,7 @@ def depth_map(
     pixels = np.rint(color).astype(np.uint8)
     picture = as_picture(pixels, volume.grid, right, down, title, max_pixels)
     spacing = volume.grid.spacing_mm[axis]
-    return DepthMap(picture, axis, (near * spacing, far * spacing), shown)
+    return DepthMap(picture, axis, ((near + 0.5) * spacing, (far + 0.5) * spacing), shown)
 
 
 def depth_color(depth: np.ndarray) -> np.ndarray:
