@@ -58,7 +58,8 @@ class NetworkOutput:
         embedding: Features of the last step, for the triplet loss; ``None`` if the paper
             of this network contrasts none.
         log_variance: Of each number of ``motion``; ``None`` unless asked for.
-        maps: What can be looked at, by name, such as ``"attention"``.
+        maps: What can be looked at, by name, such as ``"attention"``; the first axes are
+            batch and steps (one step is enough of a network that reads windows).
     """
 
     motion: Float[Tensor, "batch steps motion=6"]
@@ -82,6 +83,16 @@ class WindowNetwork(MotionNetwork):
     """A network that looks at ``window`` frames at once, and at nothing before them."""
 
     window: int
+
+
+def check_window(frames: Frames, window: int) -> None:
+    """Check that a window network gets as many frames as it reads.
+
+    Raises:
+        ScanError: If not.
+    """
+    if frames.shape[1] != window:
+        raise ScanError(f"the network reads {window} frames at once, got {frames.shape[1]}")
 
 
 class RecurrentNetwork(MotionNetwork):
@@ -127,7 +138,10 @@ class RecurrentNetwork(MotionNetwork):
 
 
 class Stepper:
-    """Runs a network frame by frame; memory does not grow with the sweep.
+    """Runs a network over a sweep of any length; memory does not grow with it.
+
+    However the frames come, one by one or many at a time, the motions are the same but for
+    rounding.
 
     Args:
         network: In evaluation mode.
@@ -137,31 +151,62 @@ class Stepper:
         self._network = network
         self._features: tuple[Tensor, ...] | None = None
         self._state: tuple[Tensor, ...] | None = None
-        self._frames: list[Tensor] = []
+        self._before: Tensor | None = None
 
-    @torch.inference_mode()
     def push(self, frame: Float[Tensor, "channels rows columns"]) -> NetworkOutput | None:
         """Return what the network says about the step to this frame; ``None`` for the first."""
-        if isinstance(self._network, RecurrentNetwork):
-            return self._push_recurrent(self._network, frame[None])
-        assert isinstance(self._network, WindowNetwork)
-        return self._push_window(self._network, frame)
+        return self.push_many(frame[None])
 
-    def _push_recurrent(self, network: RecurrentNetwork, frame: Tensor) -> NetworkOutput | None:
-        features = network.encode(frame)
-        before, self._features = self._features, features
+    @torch.inference_mode()
+    def push_many(
+        self, frames: Float[Tensor, "frames channels rows columns"]
+    ) -> NetworkOutput | None:
+        """Return what the network says about the steps to these frames, as a batch of one.
+
+        The first frame of a sweep has no step; ``None`` if it comes alone.
+        """
+        if isinstance(self._network, RecurrentNetwork):
+            return self._push_recurrent(self._network, frames)
+        assert isinstance(self._network, WindowNetwork)
+        return self._push_window(self._network, frames)
+
+    def _push_recurrent(self, network: RecurrentNetwork, frames: Tensor) -> NetworkOutput | None:
+        features = network.encode(frames)
+        before, self._features = self._features, tuple(part[-1:].clone() for part in features)
+        first = tuple(part[:-1] for part in features)
         if before is None:
+            features = tuple(part[1:] for part in features)
+        elif len(frames) == 1:
+            first = before
+        else:
+            first = tuple(torch.cat(parts) for parts in zip(before, first, strict=True))
+        if len(features[0]) == 0:
             return None
-        pairs = tuple(part[:, None] for part in network.compare(before, features))
+        pairs = tuple(part[None] for part in network.compare(first, features))
         output, self._state = network.regress(pairs, self._state)
         return output
 
-    def _push_window(self, network: WindowNetwork, frame: Tensor) -> NetworkOutput | None:
-        # As the released code does, the first frame stands for those before the sweep.
-        first = not self._frames
-        self._frames = [*(self._frames or [frame] * (network.window - 1)), frame]
-        self._frames = self._frames[-network.window :]
-        if first:
+    def _push_window(self, network: WindowNetwork, frames: Tensor) -> NetworkOutput | None:
+        if self._before is None:
+            # As the released code does, the first frame stands for those before the sweep.
+            self._before = frames[:1].expand(network.window - 1, -1, -1, -1)
+            frames = frames[1:]
+        stack = torch.cat((self._before, frames))
+        self._before = stack[1 - network.window :].clone()
+        if len(frames) == 0:
             return None
-        output = network(torch.stack(self._frames)[None])
-        return NetworkOutput(output.motion[:, -1:], tuple(h[:, -1:] for h in output.heads))
+        return _last_steps(network(stack.unfold(0, network.window, 1).movedim(-1, 1)))
+
+
+def _last_steps(output: NetworkOutput) -> NetworkOutput:
+    """Return the last step of each of many windows as the steps of one sweep."""
+
+    def last(values: Tensor) -> Tensor:
+        return values[:, -1:].transpose(0, 1)
+
+    return NetworkOutput(
+        motion=last(output.motion),
+        heads=tuple(last(head) for head in output.heads),
+        log_variance=None if output.log_variance is None else last(output.log_variance),
+        maps={name: last(values) for name, values in output.maps.items()},
+    )
