@@ -2,6 +2,7 @@
 
 import time
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,19 +11,27 @@ from scipy.spatial import cKDTree
 
 from sonosweep.errors import ScanError
 from sonosweep.simulate.body import Body, Tissue, Vessel
+from sonosweep.simulate.coded_voxels import CodedVoxels
 from sonosweep.simulate.forearm import forearm
+from sonosweep.simulate.forearm_palette import LEVELS, forearm_palette
 from sonosweep.simulate.seeds import generator
 
 SUBJECT = 900_001
 SPARSE_MM = 0.05  # of the points by which center lines are replaced
-ALL_BYTES = 150e6
+ALL_BYTES = 75e6
 CPU_S = 4.0
 
 
 @pytest.fixture(scope="module")
 def arm() -> Body:
-    """Return the forearm on the grid of the linear probe."""
-    return forearm(SUBJECT)
+    """Return the forearm on the grid of the linear probe, with all voxels in plain arrays."""
+    return plain(forearm(SUBJECT))
+
+
+def plain(body: Body) -> Body:
+    """Return a body whose voxels are looked up."""
+    tissue, echogenicity = np.asarray(body.tissue), np.asarray(body.echogenicity)
+    return replace(body, tissue=tissue, echogenicity=echogenicity)
 
 
 def dense_lines(vessels: tuple[Vessel, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -62,7 +71,9 @@ def test_a_subject_always_has_the_same_arm():
 
 def test_subjects_differ():
     """Two arms differ in layers, muscles and vessels."""
-    one, two = (forearm(subject, spacing_mm=1.0, length_mm=100.0) for subject in (900_003, 900_004))
+    one, two = (
+        plain(forearm(subject, spacing_mm=1.0, length_mm=100.0)) for subject in (900_003, 900_004)
+    )
 
     inside = (one.tissue > Tissue.GEL) & (two.tissue > Tissue.GEL)
     assert (one.tissue != two.tissue)[inside].mean() > 0.15
@@ -240,8 +251,25 @@ def test_below_the_arm_is_nothing():
 
 
 def test_the_body_fits_in_memory(arm):
-    """Tissue, echogenicity and skin take at most 150 MB."""
-    assert arm.tissue.nbytes + arm.echogenicity.nbytes + arm.skin_depth_mm.nbytes < ALL_BYTES
+    """Tissue and echogenicity share one byte per voxel; with the skin they take under 75 MB."""
+    body = forearm(SUBJECT, length_mm=5.0)
+    assert isinstance(body.tissue, CodedVoxels)
+    assert isinstance(body.echogenicity, CodedVoxels)
+    assert body.tissue.codes is body.echogenicity.codes
+    assert arm.tissue.nbytes + arm.skin_depth_mm.nbytes < ALL_BYTES
+
+
+def test_voxels_keep_their_tissue_and_nearly_their_echo():
+    """In the palette, each tissue stays what it is and varies in steps of at most 1 dB."""
+    palette = forearm_palette()
+    for label, levels in LEVELS.items():
+        wanted = np.arange(min(levels), max(levels) + 1, dtype=np.uint8)
+        tissue = np.full((1, 1, wanted.size), int(label), np.uint8)
+        codes = np.empty_like(tissue)
+        palette.encode(tissue, wanted[None, None], codes)
+        found = palette.echogenicity[codes[0, 0]].astype(int)
+        assert (palette.tissue[codes] == int(label)).all()
+        assert np.abs(found - wanted).max() <= (20 if label == Tissue.NERVE else 2)
 
 
 @pytest.mark.parametrize(
@@ -265,7 +293,7 @@ def test_nothing_in_the_anatomy_says_where_z_points():
     """Of 24 subjects about half have the wrist at the low end of z, in left and right arms."""
     wrist_first = []
     for subject in range(900_100, 900_124):
-        body = forearm(subject, spacing_mm=2.0)
+        body = plain(forearm(subject, spacing_mm=2.0))
         tendon = (body.tissue == Tissue.TENDON).sum(axis=(1, 2))
         wrist_first.append(tendon[:40].sum() > tendon[-40:].sum())
         direction = generator(subject, 0, "anatomy sides").choice((-1.0, 1.0), 2)[1]

@@ -8,6 +8,7 @@ import numpy as np
 
 from sonosweep.errors import ScanError
 from sonosweep.simulate.body import Body
+from sonosweep.simulate.coded_voxels import codes_and_values
 from sonosweep.simulate.forearm import forearm
 from sonosweep.simulate.phantoms import (
     WIRES,
@@ -65,7 +66,8 @@ PHANTOMS: dict[str, Callable[[tuple[float, float, float]], Body]] = {
 
 def _mirrored(body: Body) -> Body:
     """Return the body as a mirror across x shows it; its voxels are turned where they are."""
-    for slices in (body.tissue, body.echogenicity):
+    arrays = (codes_and_values(voxels)[0] for voxels in (body.tissue, body.echogenicity))
+    for slices in {id(array): array for array in arrays}.values():
         for voxels in slices:  # a second set of voxels would need much memory
             voxels[:] = voxels[:, ::-1].copy()
     x, y, z = body.origin_mm

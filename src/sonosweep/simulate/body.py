@@ -5,9 +5,10 @@ from enum import IntEnum
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, Float32
 
 from sonosweep.errors import ScanError
+from sonosweep.simulate.coded_voxels import Values
 
 
 class Tissue(IntEnum):
@@ -98,8 +99,8 @@ class Body:
 
     name: str
     subject: str
-    tissue: UInt8[np.ndarray, "z y x"]
-    echogenicity: UInt8[np.ndarray, "z y x"]
+    tissue: Values
+    echogenicity: Values
     spacing_mm: float
     origin_mm: tuple[float, float, float]
     skin_depth_mm: Float32[np.ndarray, "z x"]

@@ -4,6 +4,7 @@ An arm is drawn in arm coordinates (see :mod:`sonosweep.simulate.forearm_shape`)
 into the body's, as a left or a right one, with z toward the elbow or toward the wrist.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from sonosweep.errors import ScanError
 from sonosweep.simulate.body import Body, Tissue, Vessel
+from sonosweep.simulate.coded_voxels import CodedVoxels
 from sonosweep.simulate.forearm_fields import (
     CELLS_MM,
     COARSE_MM,
@@ -20,7 +22,8 @@ from sonosweep.simulate.forearm_fields import (
 )
 from sonosweep.simulate.forearm_kernels import fill_forearm
 from sonosweep.simulate.forearm_muscles import muscle_table
-from sonosweep.simulate.forearm_nerves import draw_nerves
+from sonosweep.simulate.forearm_nerves import BUNDLE_DB, NERVE_DB, Nerve, draw_nerves
+from sonosweep.simulate.forearm_palette import forearm_palette
 from sonosweep.simulate.forearm_shape import ARM_LENGTH_MM, ArmShape, draw_shape
 from sonosweep.simulate.forearm_vessels import draw_vessels
 from sonosweep.simulate.seeds import generator, subject_name
@@ -30,7 +33,7 @@ from sonosweep.simulate.voxels import Point, first_voxel, voxel_counts
 
 ABOVE_SKIN_MM = 4.0  # of gel above the crest of the skin
 LARGEST_LENGTH_MM = 280.0
-BUNDLE_DB, NERVE_DB = -11.0, -1.0
+SLICES_AT_ONCE = 32
 
 Codes = UInt8[np.ndarray, "z y x"]
 
@@ -65,18 +68,25 @@ def forearm(
         raise ScanError(f"a forearm is at most {LARGEST_LENGTH_MM:g} mm long, got {length_mm:g}")
     counts = voxel_counts("forearm", (width_mm, depth_mm, length_mm), spacing_mm)
     arm = _draw_arm(subject, counts, spacing_mm)
-    tissue, echogenicity = np.empty(counts[::-1], np.uint8), np.empty(counts[::-1], np.uint8)
-    _fill(arm, tissue, echogenicity)
     inner_vessels = draw_vessels(generator(subject, 0, "anatomy vessels"), arm.shape)
-    _paint_nerves(arm, tissue, echogenicity, inner_vessels)
+    nerves = draw_nerves(generator(subject, 0, "anatomy nerves"), arm.shape, inner_vessels)
     vessels = tuple(piece for vessel in inner_vessels for piece in _in_body(arm, vessel))
-    paint_vessels(tissue, echogenicity, arm.origin_mm, spacing_mm, vessels)
+    codes, palette = np.empty(counts[::-1], np.uint8), forearm_palette()
+    fill = _filler(arm)
+    for first in range(0, len(codes), SLICES_AT_ONCE):
+        some = slice(first, first + SLICES_AT_ONCE)
+        tissue, echogenicity = np.empty((2, *codes[some].shape), np.uint8)
+        fill(tissue, echogenicity, first)
+        for nerve in nerves:
+            _paint_nerve(arm, nerve, tissue, echogenicity, arm.along_mm[some])
+        paint_vessels(tissue, echogenicity, arm.slice_mm(first), spacing_mm, vessels)
+        palette.encode(tissue, echogenicity, codes[some])
     skin = arm.shape.skin_y(arm.across_mm, arm.along_mm[:, None])
     return Body(
         name="forearm",
         subject=name,
-        tissue=tissue,
-        echogenicity=echogenicity,
+        tissue=CodedVoxels(codes, palette.tissue),
+        echogenicity=CodedVoxels(codes, palette.echogenicity),
         spacing_mm=spacing_mm,
         origin_mm=arm.origin_mm,
         skin_depth_mm=skin.astype(np.float32),
@@ -118,6 +128,11 @@ class _Arm:
         z = self.origin_mm[2] + self.spacing_mm * np.arange(self.counts[2])
         return ARM_LENGTH_MM / 2 + self.direction * z
 
+    def slice_mm(self, number: int) -> Point:
+        """Return the center of the first voxel of a slice."""
+        x, y, z = self.origin_mm
+        return x, y, z + self.spacing_mm * number
+
 
 def _draw_arm(subject: int, counts: tuple[int, int, int], spacing_mm: float) -> _Arm:
     mirror, direction = generator(subject, 0, "anatomy sides").choice((-1.0, 1.0), 2)
@@ -126,8 +141,8 @@ def _draw_arm(subject: int, counts: tuple[int, int, int], spacing_mm: float) -> 
     return _Arm(subject, shape, float(mirror), float(direction), origin, spacing_mm, counts)
 
 
-def _fill(arm: _Arm, tissue: Codes, echogenicity: Codes) -> None:
-    """Fill all but vessels and nerves."""
+def _filler(arm: _Arm) -> Callable[[Codes, Codes, int], None]:
+    """Return what fills all but vessels and nerves in slices from a given one on."""
     extents = [arm.spacing_mm * (count - 1) for count in arm.counts]
     x, y, z = (
         first + step * np.arange(int(np.ceil(extent / step)) + 2)
@@ -141,9 +156,7 @@ def _fill(arm: _Arm, tissue: Codes, echogenicity: Codes) -> None:
         ARM_LENGTH_MM / 2 + arm.direction * z,
         arm.mirror,
     )
-    fill_forearm(
-        tissue,
-        echogenicity,
+    rest = (
         np.array(arm.origin_mm),
         arm.spacing_mm,
         fields,
@@ -155,25 +168,27 @@ def _fill(arm: _Arm, tissue: Codes, echogenicity: Codes) -> None:
         np.array(CELLS_MM),
         draw_tones(generator(arm.subject, 0, "anatomy tones"), arm.shape, arm.spacing_mm),
     )
+    return lambda tissue, echogenicity, first: fill_forearm(tissue, echogenicity, first, *rest)
 
 
-def _paint_nerves(
-    arm: _Arm, tissue: Codes, echogenicity: Codes, vessels: tuple[Vessel, ...]
+def _paint_nerve(
+    arm: _Arm,
+    nerve: Nerve,
+    tissue: Codes,
+    echogenicity: Codes,
+    along_mm: Float[np.ndarray, " slices"],
 ) -> None:
-    nerves = draw_nerves(generator(arm.subject, 0, "anatomy nerves"), arm.shape, vessels)
-    replaceable = labels_except(Tissue.OUTSIDE, Tissue.GEL, Tissue.SKIN, Tissue.BONE)
-    for nerve in nerves:
-        paint_nerve(
-            tissue,
-            echogenicity,
-            np.array(arm.origin_mm),
-            arm.spacing_mm,
-            nerve.at(arm.along_mm, arm.mirror),
-            nerve.fascicles,
-            int(Tissue.NERVE),
-            np.array((code_of(BUNDLE_DB), code_of(NERVE_DB))),
-            replaceable,
-        )
+    paint_nerve(
+        tissue,
+        echogenicity,
+        np.array(arm.origin_mm),
+        arm.spacing_mm,
+        nerve.at(along_mm, arm.mirror),
+        nerve.fascicles,
+        int(Tissue.NERVE),
+        np.array((code_of(BUNDLE_DB), code_of(NERVE_DB))),
+        labels_except(Tissue.OUTSIDE, Tissue.GEL, Tissue.SKIN, Tissue.BONE),
+    )
 
 
 def _in_body(arm: _Arm, vessel: Vessel) -> list[Vessel]:

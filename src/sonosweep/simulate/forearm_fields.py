@@ -16,9 +16,16 @@ from sonosweep.simulate.forearm_kernels import (
     WARP_Y,
 )
 from sonosweep.simulate.forearm_shape import ArmShape
-from sonosweep.simulate.smooth_noise import draw_noise
+from sonosweep.simulate.smooth_noise import SmoothNoise, draw_noise
 
 COARSE_MM = (1.0, 1.0, 5.0)  # grid of the smooth fields along x, y and z
+NOISE_MM = (  # features of the warps along x (two) and y (two), and of brightness
+    (22.0, 7.0, 7.0),
+    (9.0, 3.0, 3.0),
+    (22.0, 7.0, 9.0),
+    (9.0, 3.0, 4.0),
+    (18.0, 5.0, 6.0),
+)
 CELLS_MM = ((4.0, 0.125, 0.75), (6.0, 0.125, 1.5))  # of the tables, along z, y and x
 
 
@@ -40,20 +47,33 @@ def coarse_fields(
         along_mm: Places in arm coordinates.
         mirror: Sign of body x per ``across``.
     """
-    x, y, z = across_mm, y_mm[:, None], along_mm[:, None, None]
-    warp_x = 0.8 * draw_noise(generator, 22.0, 7.0, 7.0)(z, y, x)
-    warp_x += 0.25 * draw_noise(generator, 9.0, 3.0, 3.0)(z, y, x)
-    warp_y = 0.7 * draw_noise(generator, 22.0, 7.0, 9.0)(z, y, x)
-    warp_y += 0.2 * draw_noise(generator, 9.0, 3.0, 4.0)(z, y, x)
-    fields = np.empty((FIELDS, *warp_x.shape), np.float32)
+    noises = [draw_noise(generator, *scale_mm) for scale_mm in NOISE_MM]
+    fields = np.empty((FIELDS, along_mm.size, y_mm.size, across_mm.size), np.float32)
+    for k in range(along_mm.size):  # one at a time, as all together would need much memory
+        _fill_fields(fields[:, k], noises, arm, across_mm, y_mm[:, None], along_mm[k], mirror)
+    return fields
+
+
+def _fill_fields(
+    fields: Float32[np.ndarray, "fields rows columns"],
+    noises: list[SmoothNoise],
+    arm: ArmShape,
+    x: Float[np.ndarray, " columns"],
+    y: Float[np.ndarray, "rows 1"],
+    along: float,
+    mirror: float,
+) -> None:
+    """Fill the fields of one slice."""
+    z = np.array([[along]])
+    warp_x = 0.8 * noises[0](z, y, x) + 0.25 * noises[1](z, y, x)
+    warp_y = 0.7 * noises[2](z, y, x) + 0.2 * noises[3](z, y, x)
     fields[SKIN] = arm.skin_distance(x, y, z)
     fields[FASCIA] = fields[SKIN] - arm.skin_mm - arm.fat_below(x, z) + 0.25 * warp_y
     fields[BONE] = arm.bone_distance(x + 0.3 * warp_x, y + 0.3 * warp_y, z)
     fields[MEMBRANE] = arm.membrane_distance(x, y + 0.5 * warp_y, z)
     fields[WARP_X], fields[WARP_Y] = mirror * warp_x, warp_y
-    fields[BRIGHT] = 2.5 * draw_noise(generator, 18.0, 5.0, 6.0)(z, y, x)
+    fields[BRIGHT] = 2.5 * noises[4](z, y, x)
     fields[MIDDLE] = y - arm.middle_y(z)
-    return fields
 
 
 def draw_tables(generator: np.random.Generator) -> Float32[np.ndarray, "2 z y x"]:

@@ -246,17 +246,18 @@ def _coarse_cells(first, spacing, start, step, nodes, cells, shares):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def fill_forearm(tissue, echo, origin, spacing, fields, step, muscles, tables, cells, tones):
-    """Fill labels and echogenicity codes, ``(z, y, x)``.
+def fill_forearm(tissue, echo, start, origin, spacing, fields, step, muscles, tables, cells, tones):
+    """Fill labels and echogenicity codes of some slices, ``(z, y, x)``.
 
     Args:
         tissue: Filled with labels.
         echo: Filled with codes.
-        origin: Body x, y, z of the first voxel and of the first coarse node.
+        start: Which slice of the body is the first of them.
+        origin: Body x, y, z of the body's first voxel and of the first coarse node.
         spacing: Of voxels.
         fields: Coarse fields, ``(fields, z, y, x)``.
         step: Distance of coarse nodes along x, y, z.
-        muscles: Per slice and muscle, the columns of ``forearm_muscles``.
+        muscles: Per slice of the body and muscle, the columns of ``forearm_muscles``.
         tables: Sheets in muscle and in fat, ``(2, z, y, x)``.
         cells: Size of their cells along z, y, x, ``(2, 3)``.
         tones: Thicknesses and levels.
@@ -272,13 +273,14 @@ def fill_forearm(tissue, echo, origin, spacing, fields, step, muscles, tables, c
     gaps, nearest = np.empty((2, columns), np.float32), np.empty((2, columns), np.int32)
     per_cell = (1 / cells).astype(np.float32)
     for n in range(tissue.shape[0]):
-        place = n * spacing / step[2]
+        along_z = (start + n) * spacing
+        place = along_z / step[2]
         low = min(int(place), fields.shape[1] - 2)
         along = np.float32(place - low)
         for f in range(FIELDS):
             slab[f] = fields[f, low] + along * (fields[f, low + 1] - fields[f, low])
         for kind in range(2):
-            blend_tables(tables[kind], (origin[2] + n * spacing) / cells[kind, 0], sheets[kind])
+            blend_tables(tables[kind], (origin[2] + along_z) / cells[kind, 0], sheets[kind])
         for j in range(tissue.shape[1]):
             y = np.float32(origin[1] + j * spacing)
             _interpolate_row(slab, j * spacing / step[1], index, shares, row, values)
@@ -288,12 +290,12 @@ def fill_forearm(tissue, echo, origin, spacing, fields, step, muscles, tables, c
                 _code_row(levels, echo[n, j])
                 continue
             _two_nearest(
-                muscles[n], xs, y, values[WARP_X], values[WARP_Y],
+                muscles[start + n], xs, y, values[WARP_X], values[WARP_Y],
                 gaps[0], gaps[1], nearest[0], nearest[1],
             )  # fmt: skip
             _muscle_row(
                 labels, levels, values, xs, y, gaps, nearest,
-                muscles[n], sheets[0], per_cell[0], tones,
+                muscles[start + n], sheets[0], per_cell[0], tones,
             )  # fmt: skip
-            _septa_row(labels, levels, values, xs, y, gaps, nearest, muscles[n], tones)
+            _septa_row(labels, levels, values, xs, y, gaps, nearest, muscles[start + n], tones)
             _code_row(levels, echo[n, j])

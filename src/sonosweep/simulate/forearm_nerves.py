@@ -12,6 +12,7 @@ from sonosweep.simulate.smooth_noise import draw_noise
 
 STEP_MM = 1.0  # between points
 ULNAR_GAP_MM = 1.6  # from the artery beside it
+BUNDLE_DB, NERVE_DB = -11.0, -1.0  # of bundles, and of what is between them
 
 
 @dataclass(frozen=True, eq=False)

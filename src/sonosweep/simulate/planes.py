@@ -10,12 +10,13 @@ from numba import njit
 from sonosweep.errors import ScanError
 from sonosweep.imaging import PixelGrid, SectorGrid
 from sonosweep.simulate.body import Body
+from sonosweep.simulate.coded_voxels import Values, codes_and_values
 from sonosweep.simulate.deformation import STILL, Deformation
 from sonosweep.simulate.tissue_motion import body_to_plane, pushes, undo_push
 
 
 def sample_plane(
-    volume: UInt8[np.ndarray, "z y x"],
+    volume: Values,
     body: Body,
     plane_to_body: Float[np.ndarray, "4 4"],
     grid: PixelGrid | SectorGrid,
@@ -54,8 +55,9 @@ def sample_plane(
     depths = depths[::axial_stride]
     labels = np.empty((depths.size, lateral.size), np.uint8)
     arteries = pushes(deformation)
-    _sample(volume, plane_to_voxel, lateral, depths, float(radius), arteries, labels)
-    return labels
+    codes, values = codes_and_values(volume)
+    _sample(codes, plane_to_voxel, lateral, depths, float(radius), arteries, labels)
+    return values[labels]
 
 
 def _body_to_voxel(body: Body) -> np.ndarray:

@@ -9,6 +9,7 @@ from numba import njit
 
 from sonosweep.simulate.beam import Beam
 from sonosweep.simulate.body import Body
+from sonosweep.simulate.coded_voxels import codes_and_values
 from sonosweep.simulate.medium import CELL_MM, SETS, hash_cell
 from sonosweep.simulate.point_spread import (
     REFERENCE_CELL_MM3,
@@ -124,26 +125,27 @@ def cell_table(body: Body) -> CellTable:
         voxels = np.floor(edges / body.spacing_mm).astype(np.int64)
         span = np.stack([voxels[:-1] - 1, voxels[1:] + 2], axis=1)
         spans.append(np.clip(span, 0, size[axis]))
-    _mark_audible(body.echogenicity, *spans, audible)
+    codes, values = codes_and_values(body.echogenicity)
+    _mark_audible(codes, values > 0, *spans, audible)
     return CellTable((int(first[0]), int(first[1]), int(first[2])), audible)
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _mark_audible(voxels, span_x, span_y, span_z, audible):
+def _mark_audible(voxels, heard, span_x, span_y, span_z, audible):
     for k in range(audible.shape[0]):
         for j in range(audible.shape[1]):
             for i in range(audible.shape[2]):
-                audible[k, j, i] = _any_echo(voxels, span_x[i], span_y[j], span_z[k])
+                audible[k, j, i] = _any_echo(voxels, heard, span_x[i], span_y[j], span_z[k])
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _any_echo(voxels, span_x, span_y, span_z):
+def _any_echo(voxels, heard, span_x, span_y, span_z):
     for z in range(span_z[0], span_z[1]):
         for y in range(span_y[0], span_y[1]):
             for x in range(span_x[0], span_x[1]):
-                if voxels[z, y, x] > 0:
+                if heard[voxels[z, y, x]]:
                     return True
     return False
 

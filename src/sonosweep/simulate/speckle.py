@@ -19,6 +19,7 @@ from sonosweep.errors import ScanError
 from sonosweep.imaging import PixelGrid, SectorGrid
 from sonosweep.simulate.beam import Beam
 from sonosweep.simulate.body import Body, echo_amplitude
+from sonosweep.simulate.coded_voxels import codes_and_values
 from sonosweep.simulate.deformation import STILL, Deformation
 from sonosweep.simulate.medium import Medium
 from sonosweep.simulate.point_spread import PointSpread, point_spread, rayleigh_range_mm
@@ -90,8 +91,13 @@ class SpeckleRenderer:
         self._slab = slab_of(beam, self._spread)
         self._table = cell_table(body)
         amplitude = echo_amplitude() / np.float32(np.sqrt(density_per_mm3))
-        codes = np.ascontiguousarray(body.echogenicity)
-        self._voxels = Voxels(codes, body.origin_mm, float(body.spacing_mm), amplitude)
+        codes, values = codes_and_values(body.echogenicity)
+        self._voxels = Voxels(
+            np.ascontiguousarray(codes),
+            body.origin_mm,
+            float(body.spacing_mm),
+            amplitude[values],
+        )
         self._room = CellRoom()
         self._torch: TorchSplat | None = None
         if engine == "torch":

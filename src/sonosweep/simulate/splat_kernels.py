@@ -322,9 +322,9 @@ def _deposit(lanes, places, picked, kept, first_voxel, voxels, flat, width):
     for n in range(kept):
         m = np.uint64(picked[n])
         code = codes[np.uint64(first_voxel + places[_VOXEL + m])]
-        if code == 0:
-            continue
         amplitude = voxels.amplitude[code]
+        if amplitude == 0:
+            continue
         real, imaginary = lanes[_RE + m] * amplitude, lanes[_IM + m] * amplitude
         add_echo(flat, width, places[_PIXEL + m], lanes[_U + m], lanes[_V + m], real, imaginary)
 
