@@ -68,12 +68,12 @@ class DopplerSettings:
 
     @property
     def pulse_times_s(self) -> Float[np.ndarray, " pulses"]:
-        """Time of each pulse after the first."""
-        return np.arange(self.pulses) / self.pulse_repetition_hz
+        """Time of each pulse after the middle of the ensemble."""
+        return (np.arange(self.pulses) - (self.pulses - 1) / 2) / self.pulse_repetition_hz
 
 
 def tissue_ensemble(
-    first: Complex64[np.ndarray, "rows columns"],
+    middle: Complex64[np.ndarray, "rows columns"],
     last: Complex64[np.ndarray, "rows columns"],
     settings: DopplerSettings,
     beam: Beam,
@@ -83,21 +83,21 @@ def tissue_ensemble(
     """Return the echoes of tissue in an ensemble.
 
     Args:
-        first: Echoes of the first pulse.
-        last: Those where probe and body are at the last one; between them they change
-            linearly.
+        middle: Echoes in the middle of the ensemble.
+        last: Those where probe and body are at the last pulse; they change linearly.
         settings: Of the ensemble.
         beam: Says how fast the phase turns.
         pixel_mm: From column to column and from row to row.
         generator: Draws how tissue moves besides.
     """
-    speed = _speed_field(first.shape, pixel_mm, settings.tissue_speed_mm_per_s, generator)
+    speed = _speed_field(middle.shape, pixel_mm, settings.tissue_speed_mm_per_s, generator)
     angle = speed * np.float32(-4 * np.pi / beam.wavelength_mm / settings.pulse_repetition_hz)
     turn = np.exp(1j * angle).astype(np.complex64)
     phase = np.ones_like(turn)
-    change = (last - first) / np.float32(max(settings.pulses - 1, 1))
-    now = first.copy()
-    ensemble = np.empty((settings.pulses, *first.shape), np.complex64)
+    steps = np.float32((settings.pulses - 1) / 2)
+    change = (last - middle) / steps
+    now = middle - steps * change
+    ensemble = np.empty((settings.pulses, *middle.shape), np.complex64)
     for pulse in ensemble:
         np.multiply(now, phase, out=pulse)
         now += change

@@ -91,19 +91,20 @@ def doppler_ensemble(
 ) -> Complex64[np.ndarray, "pulses rows columns"]:
     """Return the pulses of a frame before the clutter filter: tissue, blood and noise."""
     chosen, grid, beam = echoes.settings.doppler, echoes.settings.grid, echoes.settings.beam
-    start, draws = float(echoes.times_s[frame]), echoes.generator(f"doppler {frame}")
-    end = start + float(chosen.pulse_times_s[-1])
+    now, draws = float(echoes.times_s[frame]), echoes.generator(f"doppler {frame}")
+    half_s = float(chosen.pulse_times_s[-1])
+    end = now + half_s
     heard, prepared = echoes.at(frame), echoes.prepared
     last_pose = echoes.pose_at(end)
-    first = with_bone(heard.iq, heard.tissue, prepared)
+    middle = with_bone(heard.iq, heard.tissue, prepared)
     last_iq = echoes.render(last_pose, echoes.deformation_at(end, last_pose))
     last = with_bone(last_iq, heard.tissue, prepared)
-    ensemble = tissue_ensemble(first, last, chosen, beam, grid.spacing_mm, draws)
-    pose = echoes.pose_at(start)
-    beat = BEAT_REST + BEAT_PEAK * echoes.body_motion.pulse_at(start)
+    ensemble = tissue_ensemble(middle, last, chosen, beam, grid.spacing_mm, draws)
+    pose = echoes.pose_at(now)
+    beat = BEAT_REST + BEAT_PEAK * echoes.body_motion.pulse_at(now)
     flow = {"artery": beat * chosen.flow, "vein": chosen.flow}
-    deformation = echoes.deformation_at(start, pose)
-    blood = draw_blood(echoes.body, pose, grid, beam, draws, deformation, flow)
+    deformation = echoes.deformation_at(now, pose)
+    blood = draw_blood(echoes.body, pose, grid, beam, draws, deformation, flow, half_s)
     velocity = disturbed(blood.velocities_mm_per_s, chosen.disturbance, draws)
     level = amplitudes_for_level(chosen.blood_db, blood.places_mm[:, 1], grid, beam)
     for pulse, time in zip(ensemble, chosen.pulse_times_s, strict=True):
