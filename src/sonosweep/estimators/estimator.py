@@ -41,6 +41,11 @@ class MotionEstimate:
 class MotionEstimator(ABC):
     """Reads the motion of the probe off the frames of a scan."""
 
+    @property
+    def name(self) -> str:
+        """What results call the method."""
+        return type(self).__name__
+
     @abstractmethod
     def estimate(self, scan: Scan, progress: Progress | None = None) -> MotionEstimate:
         """Return the motion between consecutive frames; tracked poses are never looked at.

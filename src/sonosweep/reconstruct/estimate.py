@@ -41,7 +41,7 @@ def estimate_trajectory(
         ),
         timestamps_s=scan.timestamps_s,
         step_std=None if estimate.std is None else estimate.std.to(torch.float64),
-        method=type(estimator).__name__,
+        method=estimator.name,
         assumptions=(
             f"The probe swept {word}: images of speckle cannot tell, this is a prior.",
             *estimate.assumptions,
