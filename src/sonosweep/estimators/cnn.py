@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from sonosweep.errors import ScanError
 from sonosweep.estimators.motion_head import MotionHead
 from sonosweep.estimators.network import FrameShape, NetworkOutput, RecurrentNetwork
+from sonosweep.estimators.shrink import shrink_frames
 
 REDUCTION = 64
 """Of four strided convolutions and two poolings."""
@@ -69,7 +70,6 @@ class CNN(RecurrentNetwork):
         if min(rows, columns) < 1:
             least = REDUCTION * o.shrink
             raise ScanError(f"cnn with shrink={o.shrink} reads at least {least} x {least} pixels")
-        self.shrink = nn.AvgPool2d(o.shrink)
         self.convolutions = nn.Sequential(
             _layer(2 * self.frame_shape.channels, o.width, 5, o.normalize),
             _layer(o.width, o.width, 5, o.normalize),
@@ -82,11 +82,11 @@ class CNN(RecurrentNetwork):
         self.full = nn.Sequential()
         if o.hidden:
             self.full = nn.Sequential(nn.Linear(features, o.hidden), nn.ReLU())
-        self.to_motion = MotionHead(o.hidden or features, log_variance=o.log_variance)
+        self.to_motion = MotionHead(o.hidden or features, o.log_variance)
 
     def encode(self, frames: Float[Tensor, "batch channels rows columns"]) -> tuple[Tensor, ...]:
         """Return the frames: the first convolution already reads two of them."""
-        return (self.shrink(frames),)
+        return (shrink_frames(frames, self.options.shrink),)
 
     def compare(self, first: tuple[Tensor, ...], second: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
         """Return what the convolutions say about pairs."""
@@ -105,4 +105,4 @@ def _layer(channels_in: int, channels_out: int, size: int, normalize: bool) -> n
     """Return a convolution that halves the size (without bias, as in Guo et al.'s version)."""
     convolution = nn.Conv2d(channels_in, channels_out, size, 2, padding=size // 2, bias=False)
     norm = nn.BatchNorm2d(channels_out) if normalize else nn.Identity()
-    return nn.Sequential(convolution, norm, nn.ReLU())
+    return nn.Sequential(convolution, norm, nn.ReLU(inplace=True))

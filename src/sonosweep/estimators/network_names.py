@@ -13,6 +13,18 @@ from sonosweep.errors import RecipeError
 from sonosweep.estimators.cnn import CNN, CNNOptions
 from sonosweep.estimators.cnn import COMPACT as CNN_COMPACT
 from sonosweep.estimators.cnn import PAPER as CNN_PAPER
+from sonosweep.estimators.dc2 import COMPACT as DC2_COMPACT
+from sonosweep.estimators.dc2 import DC2, DC2Options
+from sonosweep.estimators.dc2 import PAPER as DC2_PAPER
+from sonosweep.estimators.dcl import COMPACT as DCL_COMPACT
+from sonosweep.estimators.dcl import DCL, DCLOptions
+from sonosweep.estimators.dcl import PAPER as DCL_PAPER
+from sonosweep.estimators.efficient import COMPACT as EFFICIENT_COMPACT
+from sonosweep.estimators.efficient import PAPER as EFFICIENT_PAPER
+from sonosweep.estimators.efficient import Efficient, EfficientOptions
+from sonosweep.estimators.lstm import COMPACT as LSTM_COMPACT
+from sonosweep.estimators.lstm import LSTM, LSTMOptions
+from sonosweep.estimators.lstm import PAPER as LSTM_PAPER
 from sonosweep.estimators.network import FrameShape, MotionNetwork
 
 
@@ -37,6 +49,21 @@ class NetworkKind:
 NETWORKS: dict[str, NetworkKind] = {
     "cnn": NetworkKind(
         CNN, CNNOptions, {"paper": CNN_PAPER, "compact": CNN_COMPACT}, "Prevost et al. 2018"
+    ),
+    "dcl": NetworkKind(
+        DCL, DCLOptions, {"paper": DCL_PAPER, "compact": DCL_COMPACT}, "Guo et al. 2020"
+    ),
+    "dc2": NetworkKind(
+        DC2, DC2Options, {"paper": DC2_PAPER, "compact": DC2_COMPACT}, "Guo et al. 2022"
+    ),
+    "efficient": NetworkKind(
+        Efficient,
+        EfficientOptions,
+        {"paper": EFFICIENT_PAPER, "compact": EFFICIENT_COMPACT},
+        "Li et al. 2023",
+    ),
+    "lstm": NetworkKind(
+        LSTM, LSTMOptions, {"paper": LSTM_PAPER, "compact": LSTM_COMPACT}, "Luo et al. 2023"
     ),
 }
 
