@@ -48,7 +48,7 @@ class MoGLoOptions:
             (3, 4, 6, 3) is the released code.
         stem_stride: Of the first convolution: 2 with a block that shrinks after it (code),
             or 4, which saves most of encoder block 1.
-        shrink: Whether encoder blocks 3 and 4 halve the map after the convolutions (code)
+        halve: Whether encoder blocks 3 and 4 halve the map after the convolutions (code)
             or before, which saves most of them.
         hidden: Units of each LSTM; 512 in the code, not said in the paper.
         projection: Units of a layer that sees all places of L and G, before each LSTM; 0
@@ -75,7 +75,7 @@ class MoGLoOptions:
     width: PositiveInt = 64
     blocks: tuple[PositiveInt, PositiveInt, PositiveInt, PositiveInt] = (3, 4, 6, 3)
     stem_stride: Literal[2, 4] = 2
-    shrink: Literal["before", "after"] = "after"
+    halve: Literal["before", "after"] = "after"
     hidden: PositiveInt = 512
     projection: NonNegativeInt = 0
     correlation: bool = True
@@ -116,7 +116,7 @@ COMPACT = MoGLoOptions(
     width=32,
     blocks=(1, 1, 2, 1),
     stem_stride=4,
-    shrink="before",
+    halve="before",
     hidden=128,
     projection=64,
     geometry=CorrelationGeometry(radius=2),
@@ -152,12 +152,12 @@ class MoGLo(RecurrentNetwork):
         self.encoder_1 = _first_encoder(shape.channels, o)
         self.encoder_2 = residual_stage(2 * w, 2 * w, o.blocks[1])
         self.encoder_3 = nn.Sequential(
-            ResidualBlock(2 * w, 4 * w, o.shrink),
-            residual_stage(4 * w, 4 * w, o.blocks[2] - 1, o.shrink),
+            ResidualBlock(2 * w, 4 * w, o.halve),
+            residual_stage(4 * w, 4 * w, o.blocks[2] - 1, o.halve),
         )
         self.volume_norm = nn.BatchNorm2d(volume) if volume and o.zero_mean else nn.Identity()
         self.encoder_4 = nn.Sequential(
-            residual_stage(4 * w + volume, 8 * w, o.blocks[3], o.shrink),
+            residual_stage(4 * w + volume, 8 * w, o.blocks[3], o.halve),
             nn.AdaptiveAvgPool2d(SIZE),
         )
         if o.attention:
@@ -236,7 +236,7 @@ class _MotionEstimator(nn.Module):
         if units:
             self.projection = nn.Sequential(nn.Linear(channels * SIZE**2, units), nn.SiLU())
         self.recurrent = nn.LSTM(units or channels, options.hidden, batch_first=True)
-        self.to_motion = MotionHead(options.hidden, log_variance=options.log_variance)
+        self.to_motion = MotionHead(options.hidden, options.log_variance)
 
     def forward(
         self,

@@ -25,6 +25,10 @@ from sonosweep.estimators.efficient import Efficient, EfficientOptions
 from sonosweep.estimators.lstm import COMPACT as LSTM_COMPACT
 from sonosweep.estimators.lstm import LSTM, LSTMOptions
 from sonosweep.estimators.lstm import PAPER as LSTM_PAPER
+from sonosweep.estimators.moglo import COMPACT as MOGLO_COMPACT
+from sonosweep.estimators.moglo import PAPER as MOGLO_PAPER
+from sonosweep.estimators.moglo import RELEASED_CODE as MOGLO_RELEASED_CODE
+from sonosweep.estimators.moglo import MoGLo, MoGLoOptions
 from sonosweep.estimators.network import FrameShape, MotionNetwork
 
 
@@ -64,6 +68,12 @@ NETWORKS: dict[str, NetworkKind] = {
     ),
     "lstm": NetworkKind(
         LSTM, LSTMOptions, {"paper": LSTM_PAPER, "compact": LSTM_COMPACT}, "Luo et al. 2023"
+    ),
+    "moglo": NetworkKind(
+        MoGLo,
+        MoGLoOptions,
+        {"paper": MOGLO_PAPER, "released-code": MOGLO_RELEASED_CODE, "compact": MOGLO_COMPACT},
+        "Lee et al. 2025",
     ),
 }
 
