@@ -1,38 +1,98 @@
-"""``sonosweep evaluate``: how far an estimate is from the tracker."""
+"""``sonosweep evaluate``: how far estimates are from the tracker, of one scan or a data set."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from sonosweep.cli.inputs import OUTPUT, Force, InputOptions, Json, read
-from sonosweep.errors import FormatError
+from sonosweep.errors import FormatError, ScanError
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from sonosweep.scan import Trajectory
 
+BENCHMARK = Group("A data set", sort_key=1)
+
+
+@Parameter(name="*", group=BENCHMARK)
+@dataclass(frozen=True)
+class BenchmarkOptions:
+    """Which methods are compared on which scans.
+
+    Attributes:
+        dataset: Folder that `simulate --dataset` made.
+        part: Scans of the data set to evaluate on.
+        weights: Trained networks: names of shipped weights, .safetensors files, or folders of
+            training runs. Those that differ in the seed alone share a row.
+        baselines: Methods without a network to compare with: all; quick, without speckle
+            decorrelation; or none. What they learn they learn from the training scans.
+        scans: Only the first so many.
+        against: Method that every other one is compared with, scan by scan; moglo otherwise.
+        paper: Table of the paper to print below; that of the data set otherwise.
+        workers: Processes, one thread each.
+        cache: Folder where results of single scans are kept, so that a run can go on; beside
+            the data set otherwise.
+        again: Compute again what is kept there.
+        title: Of the page.
+    """
+
+    dataset: Path | None = None
+    part: Literal["validation", "test"] | None = None
+    weights: Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)] = ()
+    baselines: Literal["all", "quick", "none"] | None = None
+    scans: int | None = None
+    against: str | None = None
+    paper: Literal["dataset1", "ablation1", "ablation2", "dataset3"] | None = None
+    workers: int | None = None
+    cache: Path | None = None
+    again: Annotated[bool, Parameter(negative="")] = False
+    title: str | None = None
+
 
 def evaluate(
-    estimated: Path,
-    tracked: Path,
+    estimated: Path | None = None,
+    tracked: Path | None = None,
     /,
     *,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"], group=OUTPUT)] = None,
+    benchmark: BenchmarkOptions | None = None,
     inputs: InputOptions | None = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """Compare an estimated trajectory with the tracked poses of the scan it came from.
 
-    The landmarks of a TUS-REC scan count too if they lie in the folders above it.
+    The landmarks of a TUS-REC scan count too if they lie in the folders above it. With
+    --dataset, compare many methods on many scans instead, and write a page and a table.
 
     Args:
         estimated: Trajectory (.csv, TUM, .igs.mha, .tfm), or a folder that `reconstruct` wrote.
         tracked: The tracked scan.
-        output: Where to write the numbers: .json or .csv; both with no suffix.
+        output: Where to write the numbers: .json or .csv; both with no suffix. With --dataset:
+            a name without suffix, for .md and .csv.
     """
+    if benchmark is not None:
+        _evaluate_dataset(estimated, benchmark, output, inputs, force, json)
+    elif estimated is None or tracked is None:
+        raise ScanError(
+            "give an estimated trajectory and the tracked scan, or a folder with --dataset"
+        )
+    else:
+        _evaluate_scan(estimated, tracked, output, inputs, force, json)
+
+
+def _evaluate_scan(
+    estimated: Path,
+    tracked: Path,
+    output: Path | None,
+    inputs: InputOptions | None,
+    force: bool,
+    json: bool,
+) -> None:
+    """Compare one trajectory with one scan."""
     from sonosweep.cli.output import check_free, say
     from sonosweep.evaluate import (
         compare_trajectories,
@@ -55,6 +115,31 @@ def evaluate(
         else:
             write_json([result], path)
     say(f"{result}\n\n{comparison_table(result)}", row, json)
+
+
+def _evaluate_dataset(
+    estimated: Path | None,
+    options: BenchmarkOptions,
+    output: Path | None,
+    inputs: InputOptions | None,
+    force: bool,
+    json: bool,
+) -> None:
+    """Compare many methods on many scans."""
+    if options.dataset is None:
+        raise ScanError(
+            "--part, --weights, --baselines, --scans, --against, --paper, --workers, --cache,"
+            " --again and --title are about a data set: give --dataset too"
+        )
+    if estimated is not None:
+        raise ScanError(f"--dataset compares methods: leave out '{estimated}', or --dataset")
+    if inputs is not None:
+        raise ScanError("the scans of a data set say how they are read: leave out such options")
+    from sonosweep.cli.evaluate_job import run_evaluation
+    from sonosweep.cli.output import say
+
+    line, facts = run_evaluation(options, options.dataset, output, force)
+    say(line, facts, json)
 
 
 def _outputs(output: Path | None) -> tuple[Path, ...]:

@@ -115,7 +115,7 @@ def paper_table(comparisons: Sequence[TrajectoryComparison], digits: int = 3) ->
         means = summarize(chosen)
         row: dict[str, Cell] = {"method": method, "scans": len(chosen)}
         for header, name in PAPER_COLUMNS.items():
-            row[header] = _interval_text(means.get(name), digits)
+            row[header] = interval_text(means.get(name), digits)
         rows.append(row)
     return markdown_table(rows, digits)
 
@@ -147,7 +147,8 @@ def _comparison_json(comparison: TrajectoryComparison) -> dict[str, object]:
     }
 
 
-def _interval_text(interval: Interval | None, digits: int) -> str | None:
+def interval_text(interval: Interval | None, digits: int = 3) -> str | None:
+    """Return a mean and its interval as people read them; ``None`` for nothing."""
     if interval is None:
         return None
     mean = cell_text(interval.mean, digits)

@@ -1,0 +1,94 @@
+"""Trained networks as methods: what they are called, and which are trainings of the same."""
+
+import hashlib
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sonosweep.errors import FormatError, ScanError
+from sonosweep.estimators.shipped import find_weights
+from sonosweep.estimators.weights import WeightsInfo, read_weights_info
+from sonosweep.evaluate.methods import Network
+
+NOT_THE_RESULT = ("seed", "checkpoint_minutes", "validations", "data.cache_gb")
+"""Fields of a recipe in which two trainings of the same may differ."""
+
+
+@dataclass(frozen=True)
+class TrainedNetwork:
+    """A network of a table and where it comes from.
+
+    Attributes:
+        method: Of the benchmark.
+        info: What its file says about it.
+    """
+
+    method: Network
+    info: WeightsInfo
+
+
+def trained_networks(weights: Sequence[str], direction: int = 1) -> list[TrainedNetwork]:
+    """Return the networks of these weights, with names that tell them apart.
+
+    Weights whose recipes differ in nothing but the seed are trainings of one network and
+    share a name: that of the network, followed by the fields of the recipe in which it
+    differs from the others of that network.
+
+    Args:
+        weights: Names of shipped weights, files, or folders of training runs.
+        direction: -1 if the probe sweeps the other way than it did in training.
+
+    Raises:
+        FormatError: If there are no such weights, or they are damaged.
+        ScanError: If two are of the same recipe and seed.
+    """
+    files = [find_weights(name) for name in weights]
+    infos = [read_weights_info(file) for file in files]
+    recipes = [_recipe(file, info) for file, info in zip(files, infos, strict=True)]
+    found: dict[tuple[str, str], TrainedNetwork] = {}
+    for file, info, recipe in zip(files, infos, recipes, strict=True):
+        rivals = [r for i, r in zip(infos, recipes, strict=True) if i.network == info.network]
+        name = ", ".join((info.network, *_differing(recipe, rivals)))
+        key = (name, f"seed {recipe.get('seed', '?')}")
+        if key in found:
+            other = found[key].method.weights
+            raise ScanError(f"'{file}' and '{other}' are of one recipe and seed: give one of them")
+        found[key] = TrainedNetwork(Network(name, file, key[1], direction), info)
+    return list(found.values())
+
+
+def recipe_digest(info: WeightsInfo) -> str:
+    """Return a short text that is the same for trainings that differ in the seed alone."""
+    fields = _flat(tomllib.loads(info.recipe))
+    facts = sorted((key, value) for key, value in fields.items() if key not in NOT_THE_RESULT)
+    return hashlib.sha256(repr(facts).encode()).hexdigest()[:12]
+
+
+def _recipe(file: Path, info: WeightsInfo) -> dict[str, str]:
+    try:
+        return _flat(tomllib.loads(info.recipe))
+    except tomllib.TOMLDecodeError as error:
+        raise FormatError(f"the recipe in '{file}' cannot be read") from error
+
+
+def _differing(recipe: dict[str, str], rivals: list[dict[str, str]]) -> list[str]:
+    """Return the fields, with values, in which a recipe differs from some of the others."""
+    keys = dict.fromkeys(key for other in rivals for key in other)
+    return [
+        f"{key.rpartition('.')[2]} {recipe.get(key, 'as usual')}"
+        for key in keys
+        if key not in NOT_THE_RESULT and len({other.get(key) for other in rivals}) > 1
+    ]
+
+
+def _flat(fields: dict[str, Any], before: str = "") -> dict[str, str]:
+    """Return the fields of tables in tables by their dotted names."""
+    found: dict[str, str] = {}
+    for key, value in fields.items():
+        if isinstance(value, dict):
+            found |= _flat(value, f"{before}{key}.")
+        else:
+            found[before + key] = str(value)
+    return found
