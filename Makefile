@@ -12,7 +12,7 @@ help:      ## list the targets
 	$(PIP) --editable .
 	@touch $@
 .venv/.dev: .venv/.core
-	$(PIP) --editable '.[test,docs]'
+	$(PIP) --editable '.[test,docs,train]'
 	@touch $@
 
 demo: .venv/.core      ## reconstruct a real sweep, tracked and sensorless: demo/report.html

@@ -15,3 +15,7 @@ class FormatError(SonosweepError, ValueError):
 
 class RecipeError(SonosweepError, ValueError):
     """A recipe or a calibration file holds something it must not."""
+
+
+class TrainingError(SonosweepError, RuntimeError):
+    """Training cannot go on: the loss is not a number, or memory is short."""

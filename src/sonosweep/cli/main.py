@@ -19,6 +19,7 @@ VERBS = {
     "evaluate": "Say how far an estimated trajectory is from the tracked one.",
     "info": "Say what a file holds, and what is missing.",
     "beamform": "Turn channel data into B-mode, power Doppler and photoacoustic frames.",
+    "train": "Train a motion network from a recipe.",
     "simulate": "Make a sweep with exact truth, or a whole data set.",
     "convert": "Make a sequence from images, video, DICOM, .mat or HDF5 and poses, or back.",
 }

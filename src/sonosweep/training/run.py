@@ -1,0 +1,376 @@
+"""A recipe carried out: devices, precision, checkpoints, going on after a kill.
+
+A run's folder holds ``recipe.toml`` (every field), ``checkpoint.ckpt`` (to go on from),
+``log.csv``, ``training.html``, and at the end ``weights.safetensors``.
+"""
+
+import logging
+import os
+import signal
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import lightning.pytorch as lightning
+import numpy as np
+import torch
+
+from sonosweep.errors import FormatError, RecipeError, TrainingError
+from sonosweep.estimators.network import FrameShape, MotionNetwork
+from sonosweep.estimators.weights import Builder, WeightsInfo, save_weights
+from sonosweep.training.log import RunLog
+from sonosweep.training.module import MotionModule, learning_rate
+from sonosweep.training.recipe import Recipe, recipe_text
+from sonosweep.training.scans import TrainingScan, data_digest, open_data
+from sonosweep.training.sequences import (
+    MotionStatistics,
+    TrainingBatches,
+    motion_statistics,
+    pairs_done,
+)
+from sonosweep.training.validate import scan_metrics
+
+RECIPE, CHECKPOINT, WEIGHTS = "recipe.toml", "checkpoint.ckpt", "weights.safetensors"
+ADVICE = (
+    ".*does not have many workers.*",  # frames are in memory, or made by a thread
+    ".*GPU available but not used.*",
+    r".*isinstance\(treespec, LeafSpec\).*",
+)
+"""Warnings of Lightning's that say nothing to whoever trains."""
+LOGGED_STEPS = 200  # lines in the log of a run, about
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedRun:
+    """What came out.
+
+    Attributes:
+        weights: File.
+        metrics: Of the scans for validation, at the end; ``"rae_of_mean"`` is that of always
+            giving the mean motion.
+        pairs: How many pairs of frames were learnt from.
+        parameters: Of the network.
+    """
+
+    weights: Path
+    metrics: dict[str, float]
+    pairs: int
+    parameters: int
+
+
+def train(
+    recipe: Recipe,
+    folder: str | os.PathLike,
+    *,
+    resume: bool = False,
+    build: Builder | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+    preparing: Progress | None = None,
+) -> TrainedRun:
+    """Train a network and write its weights.
+
+    Under ``torchrun`` all processes share each batch; otherwise there is one.
+
+    Args:
+        recipe: What to do.
+        folder: Of the run.
+        resume: Whether to go on where the run in the folder was stopped; from the beginning
+            if it had not come to a checkpoint.
+        build: What makes networks by name; ``None`` knows all of ours.
+        device: ``"cpu"``, ``"cuda"``, or ``"auto"``: a GPU if there is one.
+        progress: Called with the pairs learnt from and all of them.
+        preparing: Called with the scans that are ready and all of them.
+
+    Raises:
+        RecipeError: If the recipe names no network of ours, or is not that of the run to go
+            on with.
+        ScanError: If the data cannot be learnt from.
+        FormatError: If a file cannot be read or written.
+        TrainingError: If the loss is not a number, or memory is short.
+    """
+    place = Path(folder)
+    checkpoint = _begin(recipe, place, resume)
+    pool, validation = open_data(recipe.data, recipe.input, preparing)
+    statistics = motion_statistics(pool, recipe.scale)
+    torch.manual_seed(recipe.seed)
+    module = MotionModule(_network(recipe, build), recipe, statistics)
+    callback = _Run(place, recipe, validation, progress)
+    with _memory_is_short(recipe), _quiet():
+        trainer = _trainer(recipe, callback, device, place)
+        batches = TrainingBatches(
+            pool,
+            recipe.stages,
+            statistics,
+            recipe.augment,
+            recipe.seed,
+            trainer.global_rank,
+            trainer.world_size,
+            lambda: trainer.global_step,
+        )
+        _fit(trainer, module, batches, checkpoint)
+    # A finished run that is gone on with takes no step in which to measure.
+    found = callback.metrics or mean_metrics(module.validate_scans(validation))
+    metrics = {**found, "rae_of_mean": _mean_motion_rae(statistics, validation)}
+    info = _info(recipe, module, statistics, validation[0], data_digest(pool, validation), metrics)
+    if trainer.is_global_zero:
+        save_weights(place / WEIGHTS, module.network, info)
+    pairs = pairs_done(recipe.stages, recipe.steps)
+    return TrainedRun(place / WEIGHTS, metrics, pairs, info.parameters)
+
+
+def _begin(recipe: Recipe, folder: Path, resume: bool) -> Path | None:
+    """Return the checkpoint to go on from, and leave the recipe in the folder."""
+    text = recipe_text(recipe)
+    path = folder / RECIPE
+    if resume and path.exists():
+        before = path.read_text(encoding="utf-8")
+        if before != text:
+            theirs = (
+                a for a, b in zip(text.splitlines(), before.splitlines(), strict=False) if a != b
+            )
+            raise RecipeError(
+                f"the run in '{folder}' had another recipe, beginning with '{next(theirs, '')}':"
+                " go on with that one, or choose another folder"
+            )
+        checkpoint = folder / CHECKPOINT
+        return checkpoint if checkpoint.exists() else None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        (folder / CHECKPOINT).unlink(missing_ok=True)
+    except OSError as error:
+        raise FormatError(f"cannot write to '{folder}': {error.strerror or error}") from error
+    return None
+
+
+def _network(recipe: Recipe, build: Builder | None) -> MotionNetwork:
+    if build is None:
+        from sonosweep.estimators.network_names import build_network
+
+        build = build_network
+    shape = FrameShape(recipe.input.count, recipe.input.rows, recipe.input.columns)
+    return build(recipe.network.name, recipe.network.options, shape, recipe.network.preset)
+
+
+def _trainer(
+    recipe: Recipe, callback: lightning.Callback, device: str, folder: Path
+) -> lightning.Trainer:
+    processes = int(os.environ.get("WORLD_SIZE", "1"))
+    local = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+    logger: Any = False
+    if find_spec("tensorboard") is not None:
+        from lightning.pytorch.loggers import TensorBoardLogger
+
+        logger = TensorBoardLogger(folder, name="tensorboard", version="")
+    return lightning.Trainer(
+        accelerator={"cuda": "gpu"}.get(device, device),
+        devices=local,
+        num_nodes=processes // local,
+        strategy="ddp" if processes > 1 else "auto",
+        precision="bf16-mixed" if recipe.precision == "bf16" else "32-true",
+        max_steps=recipe.steps,
+        max_epochs=-1,
+        gradient_clip_val=recipe.optimizer.clip,
+        callbacks=[callback],
+        logger=logger,
+        log_every_n_steps=1,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        num_sanity_val_steps=0,
+        use_distributed_sampler=False,
+        default_root_dir=folder,
+    )
+
+
+def _fit(
+    trainer: lightning.Trainer,
+    module: MotionModule,
+    batches: TrainingBatches,
+    checkpoint: Path | None,
+) -> None:
+    interrupt = signal.getsignal(signal.SIGINT)
+    try:
+        trainer.fit(module, batches, ckpt_path=checkpoint, weights_only=True)
+    except SystemExit as left:  # which is how Lightning passes Ctrl-C on
+        signal.signal(signal.SIGINT, interrupt)
+        raise KeyboardInterrupt from left
+
+
+class _Run(lightning.Callback):
+    """What is done between the steps: progress, log, validation, checkpoints."""
+
+    def __init__(
+        self,
+        folder: Path,
+        recipe: Recipe,
+        validation: Sequence[TrainingScan],
+        progress: Progress | None,
+    ) -> None:
+        self._folder, self._recipe, self._validation = folder, recipe, validation
+        self._progress = progress
+        self._log_every = max(1, recipe.steps // LOGGED_STEPS)
+        self._validate_every = max(1, recipe.steps // recipe.validations)
+        self._saved_s = time.monotonic()
+        self._sums: dict[str, float] = {}
+        self._count = 0
+        self.metrics: dict[str, float] = {}
+
+    def on_train_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        """Begin the log, or go on with it."""
+        if trainer.is_global_zero:
+            self._log = RunLog(self._folder, self._recipe, trainer.global_step)
+        self._saved_s = time.monotonic()
+
+    def on_train_batch_end(
+        self,
+        trainer: lightning.Trainer,
+        module: lightning.LightningModule,
+        outputs: Any,  # Any: whatever training_step gave
+        batch: Any,
+        batch_idx: int,
+    ) -> None:
+        """Do what is due after a step."""
+        assert isinstance(module, MotionModule)
+        step = trainer.global_step
+        for name, value in module.latest.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+        self._count += 1
+        last = step >= self._recipe.steps
+        validates = step % self._validate_every == 0 or last
+        if step % self._log_every == 0 or validates:
+            self._report(trainer, module, step, validates)
+        if self._is_checkpoint_due(trainer) or validates:
+            save_checkpoint(trainer, self._folder / CHECKPOINT)
+            self._saved_s = time.monotonic()
+
+    def _report(
+        self, trainer: lightning.Trainer, module: MotionModule, step: int, validates: bool
+    ) -> None:
+        row = {name: total / self._count for name, total in self._sums.items()}
+        row["learning_rate"] = learning_rate(self._recipe.stages, step - 1)
+        self._sums, self._count = {}, 0
+        if validates:
+            self.metrics = mean_metrics(
+                gathered(
+                    module.validate_scans(
+                        self._validation[trainer.global_rank :: trainer.world_size]
+                    ),
+                    trainer,
+                )
+            )
+            row |= self.metrics
+        if not trainer.is_global_zero:
+            return
+        pairs = pairs_done(self._recipe.stages, step)
+        self._log.write(step, pairs, row)
+        if trainer.logger is not None:
+            trainer.logger.log_metrics(row, step)
+        if self._progress is not None:
+            self._progress(pairs, pairs_done(self._recipe.stages, self._recipe.steps))
+
+    def _is_checkpoint_due(self, trainer: lightning.Trainer) -> bool:
+        due = time.monotonic() - self._saved_s > 60 * self._recipe.checkpoint_minutes
+        return bool(trainer.strategy.broadcast(due)) if trainer.world_size > 1 else due
+
+
+def save_checkpoint(trainer: lightning.Trainer, path: Path) -> None:
+    """Write a checkpoint that is whole or not there; called by all processes."""
+    temporary = path.with_name(f".writing-{path.name}")
+    trainer.save_checkpoint(temporary)
+    if trainer.is_global_zero:
+        temporary.replace(path)
+
+
+def gathered(found: list[dict[str, float]], trainer: lightning.Trainer) -> list[dict[str, float]]:
+    """Return what all processes found together."""
+    if trainer.world_size == 1:
+        return found
+    everyone: list[list[dict[str, float]]] = [[] for _ in range(trainer.world_size)]
+    torch.distributed.all_gather_object(everyone, found)
+    return [one for theirs in everyone for one in theirs]
+
+
+def mean_metrics(found: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Return the mean over scans of each number."""
+    return {name: float(np.mean([one[name] for one in found])) for name in found[0]}
+
+
+def _mean_motion_rae(statistics: MotionStatistics, validation: Sequence[TrainingScan]) -> float:
+    """Return the relative error of always giving the mean motion of the training scans."""
+    found = [
+        scan_metrics(statistics.mean.expand(len(scan.frames) - 1, 6).float(), scan)
+        for scan in validation
+    ]
+    return mean_metrics(found)["rae"]
+
+
+def _info(
+    recipe: Recipe,
+    module: MotionModule,
+    statistics: MotionStatistics,
+    scan: TrainingScan,
+    digest: str,
+    metrics: dict[str, float],
+) -> WeightsInfo:
+    return WeightsInfo(
+        network=recipe.network.name,
+        preset=recipe.network.preset,
+        options=recipe.network.options,
+        input=recipe.input,
+        spacing_mm=scan.spacing_mm,
+        center_mm=scan.center,
+        window=max(stage.window for stage in recipe.stages),
+        motion_scale=tuple(statistics.scale.tolist()),
+        mean_motion=tuple(statistics.mean.tolist()),
+        parameters=sum(p.numel() for p in module.network.parameters()),
+        recipe=recipe_text(recipe),
+        data=digest,
+        metrics=dict(metrics),
+        made=datetime.now(UTC).date().isoformat(),
+        version=version("sonosweep"),
+    )
+
+
+@contextmanager
+def _memory_is_short(recipe: Recipe) -> Iterator[None]:
+    """Turn a lack of memory into a sentence that names what to lower."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        words = str(error).lower()
+        if isinstance(error, MemoryError) or "out of memory" in words or "allocate" in words:
+            largest = max(recipe.stages, key=lambda stage: stage.batch * stage.window)
+            raise TrainingError(
+                f"out of memory: lower the batch ({largest.batch}) or window ({largest.window})"
+                f" of stage {recipe.stages.index(largest)}, the input's rows and columns, or"
+                " data.cache_gb"
+            ) from error
+        raise
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Lightning's advice from the terminal."""
+    loud = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
+    levels = [logger.level for logger in loud]
+    for logger in loud:
+        logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            for words in ADVICE:
+                warnings.filterwarnings("ignore", message=words)
+            yield
+    finally:
+        for logger, level in zip(loud, levels, strict=True):
+            logger.setLevel(level)

@@ -1,0 +1,114 @@
+"""How well a network reads whole scans, as it will when it is used."""
+
+import torch
+from jaxtyping import Float, Num
+from torch import Tensor
+
+from sonosweep.estimators.network import MotionNetwork, RecurrentNetwork, WindowNetwork
+from sonosweep.estimators.network_input import image_steps, unit_frames
+from sonosweep.geometry import MOTION_NAMES, poses_from_steps, step_from_motion
+from sonosweep.metrics import evaluate_trajectory, frame_grid
+from sonosweep.training.scans import TrainingScan
+
+CHUNK = 16  # frames that are worked on at a time
+REPORTED = {
+    "rae": "relative_error_mixed",
+    "rfe": "relative_frame_error_mm",
+    "afe": "accumulated_frame_error_mm",
+    "fdr": "final_drift_rate_path_percent",
+}
+"""Short names of the paper's numbers that are reported, with drift per length of the path."""
+
+
+@torch.no_grad()
+def predict_motion(
+    network: MotionNetwork, scan: TrainingScan, device: torch.device
+) -> Float[Tensor, "steps motion=6"]:
+    """Return the motion of each step of a scan in scaled units, as frame by frame gives it.
+
+    Args:
+        network: In evaluation mode.
+        scan: Of any length.
+        device: Where the network is.
+    """
+    if isinstance(network, RecurrentNetwork):
+        return _predict_recurrent(network, scan, device)
+    assert isinstance(network, WindowNetwork)
+    return _predict_windows(network, scan, device)
+
+
+def _predict_recurrent(
+    network: RecurrentNetwork, scan: TrainingScan, device: torch.device
+) -> Float[Tensor, "steps motion=6"]:
+    last: tuple[Tensor, ...] | None = None
+    state: tuple[Tensor, ...] | None = None
+    motions = []
+    for start in range(0, len(scan.frames), CHUNK):
+        features = network.encode(_frames(scan, start, start + CHUNK, device))
+        if last is not None:
+            features = tuple(torch.cat(both) for both in zip(last, features, strict=True))
+        last = tuple(part[-1:] for part in features)
+        if len(features[0]) < 2:
+            continue
+        pairs = network.compare(
+            tuple(part[:-1] for part in features), tuple(part[1:] for part in features)
+        )
+        output, state = network.regress(tuple(part[None] for part in pairs), state)
+        motions.append(output.motion[0].float().cpu())
+    return torch.cat(motions)
+
+
+def _predict_windows(
+    network: WindowNetwork, scan: TrainingScan, device: torch.device
+) -> Float[Tensor, "steps motion=6"]:
+    """As the released code does, the first frame stands for those before the sweep."""
+    before = network.window - 1
+    frames = _frames(scan, 0, 1, device).expand(before, -1, -1, -1)
+    motions = []
+    for start in range(0, len(scan.frames), CHUNK):
+        frames = torch.cat((frames, _frames(scan, start, start + CHUNK, device)))
+        windows = frames.unfold(0, network.window, 1).movedim(-1, 1)
+        motions.append(network(windows).motion[:, -1].float().cpu())
+        frames = frames[-before:] if before else frames[:0]
+    return torch.cat(motions)[1:]
+
+
+def _frames(
+    scan: TrainingScan, start: int, stop: int, device: torch.device
+) -> Float[Tensor, "frames channels rows columns"]:
+    stored: Num[Tensor, "frames channels rows columns"] = torch.from_numpy(scan.frames[start:stop])
+    return unit_frames(stored.to(device))
+
+
+def scan_metrics(motion: Float[Tensor, "steps motion=6"], scan: TrainingScan) -> dict[str, float]:
+    """Return how far motions (mm, rad, about the frame's centre) are from the true ones.
+
+    These are the correlation of each of the six numbers, ``"r_lateral"`` and so on, 0 where
+    it is not defined, and the numbers of :data:`REPORTED`, of the image's poses.
+    """
+    tracked = torch.from_numpy(scan.tracked)
+    both = tracked[:-1] & tracked[1:]
+    true = scan.motion()[both]
+    metrics = {
+        f"r_{name}": correlation(motion[both, k].double(), true[:, k])
+        for k, name in enumerate(MOTION_NAMES)
+    }
+    steps = image_steps(step_from_motion(motion.double()), scan.center)
+    estimated = poses_from_steps(steps, torch.eye(4, dtype=torch.float64))
+    rows, columns = scan.frames.shape[-2:]
+    found = evaluate_trajectory(
+        estimated,
+        scan.image_poses,
+        frame_grid(rows, columns, scan.spacing_mm),
+        tracked=None if bool(tracked.all()) else tracked,
+    ).as_dict()
+    for short, name in REPORTED.items():
+        metrics[short] = float(found[name] or 0.0)
+    return metrics
+
+
+def correlation(a: Float[Tensor, " steps"], b: Float[Tensor, " steps"]) -> float:
+    """Return Pearson's correlation; 0 if one of them never changes."""
+    a, b = a - a.mean(), b - b.mean()
+    size = float(a.norm() * b.norm())
+    return float(a @ b) / size if size > 0 else 0.0
