@@ -84,6 +84,21 @@ def test_blood_moves_within_an_ensemble() -> None:
     assert change[(depth_mm > 7) & (depth_mm < 9)].max() > 1e-4
 
 
+def test_blood_that_has_passed_is_followed_by_other_blood() -> None:
+    """A vessel stays full though its blood flows through the slice within an ensemble."""
+    body = tube()
+    fast = replace(body.vessels[0], mean_speed_mm_per_s=600.0)
+    pulses = replace(SMALL, pulses=16)
+    sweep = simulate_channel_sweep(
+        replace(body, vessels=(fast,)), along_arm(*[3.0] * 8), PROBE, pulses, 900_001
+    )
+    ensembles = np.stack([samples(sweep, "power_doppler", frame) for frame in range(8)])
+    blood = ensembles - ensembles.mean(axis=(0, 1))  # tissue stays
+    power = (blood**2).sum(axis=(0, 2, 3))
+    # Without blood that comes in 0.63 of it would be left.
+    assert power[-4:].sum() > 0.8 * power[:4].sum()
+
+
 def test_light_fades_with_depth() -> None:
     """Without fading of the light the vessel sounds louder by exp(0.11 / mm * depth)."""
     faded, even = sweep_of_tube(), sweep_of_tube(fluence_per_mm=0.0)

@@ -162,6 +162,10 @@ class _Field:
         self._body, self._poses, self._probe = body, plane_to_body, probe
         self._settings, self._seed = settings, seed
         self._low, self._high = _slab(probe, settings.acquisition)
+        # What flows into the slice before the last pulse, twice as fast as on average.
+        fastest = max((2 * abs(vessel.mean_speed_mm_per_s) for vessel in body.vessels), default=0.0)
+        inflow = fastest * settings.pulses / settings.pulse_repetition_hz
+        self._inflow_mm = np.array([0.0, 0.0, inflow])
         self._tissue_mm, self._amplitude, self._skin = self._static()
 
     def plane_waves(self, frame: int) -> ChannelData:
@@ -258,9 +262,9 @@ class _Field:
     def _blood(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Return this frame's blood: places and velocities (mm/s), plane coordinates."""
         random = generator(self._seed, frame, "channel blood")
-        volume = float(np.prod(self._high - self._low))
-        count = round(self._settings.density_per_mm3 * volume)
-        points = random.uniform(self._low, self._high, (count, 3))
+        low, high = self._low - self._inflow_mm, self._high + self._inflow_mm
+        count = round(self._settings.density_per_mm3 * float(np.prod(high - low)))
+        points = random.uniform(low, high, (count, 3))
         in_body = _moved(self._poses[frame], points)
         tissue, _ = self._look_up(in_body)
         inside = np.isin(tissue, BLOOD)
