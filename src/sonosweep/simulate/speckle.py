@@ -24,14 +24,9 @@ from sonosweep.simulate.deformation import STILL, Deformation
 from sonosweep.simulate.medium import Medium
 from sonosweep.simulate.point_spread import PointSpread, point_spread, rayleigh_range_mm
 from sonosweep.simulate.slab import CellRoom, SeenCells, cell_table, seen_cells, slab_of
-from sonosweep.simulate.splat_kernels import (
-    FineGrid,
-    Voxels,
-    splat_cells,
-    splat_points,
-    spread_points,
-)
+from sonosweep.simulate.splat_kernels import FineGrid, Voxels, splat_cells
 from sonosweep.simulate.splat_torch import TorchSplat
+from sonosweep.simulate.spread_kernels import splat_points, spread_points
 from sonosweep.simulate.tissue_motion import body_to_plane, pushes
 
 
