@@ -87,7 +87,7 @@ class Windowed(WindowNetwork):
         step = means.diff(dim=1)
         second = step - torch.cat((step[:, :1], step[:, :-1]), 1)
         motion = second[..., None].expand(-1, -1, 6)
-        maps = {"step": step[..., None, None]}
+        maps = {"step": step[:, -1:, None]}
         return NetworkOutput(motion, (motion,), None, step[..., None].expand(-1, -1, 6), maps)
 
 

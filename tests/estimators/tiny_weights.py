@@ -17,6 +17,7 @@ SCALE = (0.1, 0.05, 0.2, 0.01, 0.01, 0.01)
 SMALL: Mapping[str, Mapping[str, Any]] = {
     "cnn": {"width": 8, "hidden": 8},
     "lstm": {"width": 4, "hidden": 8},
+    "moglo": {"width": 8, "hidden": 8, "projection": 8},
 }
 
 

@@ -21,7 +21,8 @@ def info(
 ) -> None:
     """Say what a file holds: frames, pixel size, times, poses, transforms, and what is missing.
 
-    Of a trajectory or a volume: its poses or voxels, their size and how they were made.
+    Of a trajectory or a volume: its poses or voxels, their size and how they were made. Of
+    weights (.safetensors): the network, what it reads, and how it was trained.
 
     Args:
         scan: File or folder of the sweep, or a file of results.

@@ -1,9 +1,10 @@
-"""What a trajectory or a volume holds, for ``sonosweep info``."""
+"""What a trajectory, a volume or a file of weights holds, for ``sonosweep info``."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sonosweep.estimators.weights import WeightsInfo
     from sonosweep.scan import Trajectory, Volume
 
 TRAJECTORIES = (".csv", ".txt", ".tum", ".tfm")
@@ -13,7 +14,9 @@ Facts = dict[str, Any]  # Any: the values of a JSON object
 
 
 def describe_result(path: Path) -> tuple[list[tuple[str, str]], Facts] | None:
-    """Return lines and facts of a file that is a trajectory or a volume; ``None`` if not."""
+    """Return lines and facts of a trajectory, a volume or weights; ``None`` of anything else."""
+    from sonosweep.estimators.shipped import SUFFIX
+    from sonosweep.estimators.weights import read_weights_info
     from sonosweep.io import read_trajectory, read_volume
 
     name = path.name.lower()
@@ -21,6 +24,8 @@ def describe_result(path: Path) -> tuple[list[tuple[str, str]], Facts] | None:
         return None
     if name.endswith(TRAJECTORIES) or _is_poses_only(path):
         return describe_trajectory(path.name, read_trajectory(path))
+    if name.endswith(SUFFIX):
+        return describe_weights(path.name, read_weights_info(path))
     if name.endswith(VOLUMES) or _is_volume(path):
         return describe_volume(path.name, read_volume(path))
     return None
@@ -77,6 +82,26 @@ def describe_volume(name: str, volume: "Volume") -> tuple[list[tuple[str, str]],
         ("origin", f"{' '.join(f'{value:.3f}' for value in volume.grid.origin_mm)} mm"),
     ]
     return lines + list(volume.settings.items()), facts
+
+
+def describe_weights(name: str, info: "WeightsInfo") -> tuple[list[tuple[str, str]], Facts]:
+    """Return lines and facts of trained weights."""
+    reads, (across, down) = info.input, info.spacing_mm
+    facts: Facts = {"name": name, **info.model_dump(mode="json")}
+    numbers = [(key, value) for key, value in info.metrics.items() if value is not None]
+    options = ", ".join(f"{key} = {value}" for key, value in info.options.items())
+    lines = [
+        ("name", name),
+        ("network", f"{info.network}, {info.parameters / 1e6:.2f} M parameters"),
+        ("options", f"{info.preset}{', ' if options else ''}{options}"),
+        ("reads", f"{reads.channels}, {reads.columns} x {reads.rows} pixels"),
+        ("pixel size", f"{across:.4g} x {down:.4g} mm"),
+        ("field of view", f"{across * reads.columns:.1f} x {down * reads.rows:.1f} mm"),
+        ("made", f"{info.made}, version {info.version}"),
+        ("data", info.data),
+        ("validation", ", ".join(f"{key} {value:.4g}" for key, value in numbers) or "none"),
+    ]
+    return lines, facts
 
 
 def _is_poses_only(path: Path) -> bool:

@@ -52,6 +52,7 @@ class Job:
         world: How volumes state coordinates; ``None``: ``"ras"``, but ``"lps"`` where a
             PLUS configuration says how to make a MetaImage, so that it is PLUS's own file.
         volume_format: Format of the volumes.
+        maps: Whether to write what a network looks at.
     """
 
     motion: MotionOptions
@@ -60,6 +61,7 @@ class Job:
     photoacoustic: PhotoacousticOptions = field(default_factory=PhotoacousticOptions)
     world: Literal["ras", "lps"] | None = None
     volume_format: Literal["nrrd", "mha", "nii.gz", "dicom"] = "nrrd"
+    maps: bool = False
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,13 @@ def run_job(path: Path, folder: Path, job: Job) -> JobResult:
     config = None if file is None else read_plus_config(file)
     settings = volume_settings(job.volume, config)
     recorded = correct_photoacoustic(recorded, photoacoustic_correction(job.photoacoustic))
-    scan, trajectory = find_trajectory(recorded, job.motion)
+    maps: tuple[str, ...] = ()
+    if job.maps:
+        from sonosweep.cli.maps_job import find_with_maps
+
+        scan, trajectory, maps = find_with_maps(recorded, job.motion, folder)
+    else:
+        scan, trajectory = find_trajectory(recorded, job.motion)
     if trajectory.method == "tracked" and engine(settings) == "gather":
         scan = locate_image(scan, job.motion.crop)  # to estimate, it was located already
     volumes = make_volumes(scan, trajectory, settings)
@@ -95,7 +103,7 @@ def run_job(path: Path, folder: Path, job: Job) -> JobResult:
     world = job.world or ("lps" if plus_volume and job.volume_format == "mha" else "ras")
     files = write_results(folder, scan, trajectory, volumes, world, job.volume_format)
     files += write_vessels(folder, trajectory, volumes)
-    report = make_report(scan, (run,), words, (*files, "report.html", "summary.json"))
+    report = make_report(scan, (run,), words, (*files, *maps, "report.html", "summary.json"))
     summary = {**summarize(scan, (run,), volumes[B_MODE], report), "world": world}
     write_findings(folder, report, summary)
     size = " x ".join(str(n) for n in volumes[B_MODE].grid.size)

@@ -24,6 +24,7 @@ def reconstruct(
     volume_format: Annotated[
         Literal["nrrd", "mha", "nii.gz", "dicom"], Parameter(group=OUTPUT)
     ] = "nrrd",
+    maps: Annotated[bool, Parameter(negative="", group=OUTPUT)] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -40,6 +41,8 @@ def reconstruct(
         world: How volumes state coordinates, see the conventions page: ras otherwise, but
             lps where a PLUS configuration asks for a MetaImage, as PLUS writes it.
         volume_format: Format of the volumes.
+        maps: With a network that has them, write its attention and correlation of every step
+            (maps.h5) and a picture of a slow, a usual and a fast one (maps.png).
     """
     from sonosweep.cli.job import Job, run_job
     from sonosweep.cli.output import say, whole_folder
@@ -52,6 +55,7 @@ def reconstruct(
         inputs=inputs or InputOptions(),
         world=world,
         volume_format=volume_format,
+        maps=maps,
     )
     names = [_name(path) for path in scans]
     if len(set(names)) < len(names):

@@ -42,12 +42,14 @@ class FittedScan:
         center_mm: Where the centre of what it reads lies in the scan's image coordinates.
         stretch: How large its pixels are, as a share of those it was trained on; 1 unless the
             field of view is smaller.
+        spacing_mm: True size of its pixels.
         notes: One sentence each on what was cut off or stretched.
     """
 
     frames: NetworkFrames
     center_mm: tuple[float, float]
     stretch: tuple[float, float]
+    spacing_mm: tuple[float, float]
     notes: tuple[str, ...]
 
 
@@ -78,6 +80,7 @@ def fit_scan(scan: Scan, info: WeightsInfo) -> FittedScan:
         frames=network_frames(_cut(scan, rectangle, info), settings),
         center_mm=(x, y),
         stretch=(cut_mm[0] / size_mm[0], cut_mm[1] / size_mm[1]),
+        spacing_mm=(cut_mm[0] / info.input.columns, cut_mm[1] / info.input.rows),
         notes=_notes(scan, rectangle, cut_mm, size_mm),
     )
 

@@ -17,10 +17,10 @@ from torch import Tensor
 from sonosweep.errors import ScanError
 from sonosweep.estimators.estimator import MotionEstimate, MotionEstimator, Progress
 from sonosweep.estimators.fit_scan import FittedScan, fit_scan
-from sonosweep.estimators.network import NetworkOutput, Stepper, WindowNetwork
+from sonosweep.estimators.network import MotionNetwork, NetworkOutput, Stepper, WindowNetwork
 from sonosweep.estimators.network_input import image_steps, unit_frames
 from sonosweep.estimators.shipped import find_weights
-from sonosweep.estimators.weights import load_weights
+from sonosweep.estimators.weights import WeightsInfo, load_weights
 from sonosweep.geometry import motion_from_step, step_from_motion
 from sonosweep.scan import Scan
 
@@ -47,6 +47,9 @@ class LearnedEstimator(MotionEstimator):
         ScanError: If there is no such device.
     """
 
+    info: WeightsInfo
+    network: MotionNetwork
+
     def __init__(
         self,
         weights: str | os.PathLike,
@@ -58,8 +61,8 @@ class LearnedEstimator(MotionEstimator):
         self._bf16 = precision == "bf16" or (precision == "auto" and _has_bf16(self._device))
         self._on_maps = on_maps
         self._file = find_weights(os.fspath(weights))
-        network, self.info = load_weights(self._file)
-        self.network = network.eval().to(self._device)
+        self.network, self.info = load_weights(self._file)
+        self.network.eval().to(self._device)
         # PyTorch's own types forget this form.
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -83,8 +86,7 @@ class LearnedEstimator(MotionEstimator):
                 motions.append(output.motion[0].float().cpu())
                 if output.log_variance is not None:
                     variances.append(output.log_variance[0].float().cpu())
-                if self._on_maps is not None and output.maps:
-                    self._on_maps(first, {name: maps[0] for name, maps in output.maps.items()})
+                self._show(first, output)
         scale = torch.tensor(self.info.motion_scale, dtype=torch.float64)
         std = (torch.cat(variances).double() / 2).exp() * scale if variances else None
         return MotionEstimate(
@@ -106,6 +108,13 @@ class LearnedEstimator(MotionEstimator):
                 yield max(start - 1, 0), output
             if progress is not None:
                 progress(start + len(stored), total)
+
+    def _show(self, first: int, output: NetworkOutput) -> None:
+        if self._on_maps is None:
+            return
+        if not output.maps:
+            raise ScanError(f"network '{self.name}' has no maps to show: leave out --maps")
+        self._on_maps(first, {name: maps[0].float().cpu() for name, maps in output.maps.items()})
 
     @contextlib.contextmanager
     def _arithmetic(self) -> Iterator[None]:

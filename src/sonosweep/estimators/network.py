@@ -58,8 +58,8 @@ class NetworkOutput:
         embedding: Features of the last step, for the triplet loss; ``None`` if the paper
             of this network contrasts none.
         log_variance: Of each number of ``motion``; ``None`` unless asked for.
-        maps: What can be looked at, by name, such as ``"attention"``; the first axes are
-            batch and steps (one step is enough of a network that reads windows).
+        maps: What can be looked at, by name, such as ``"attention"``. The first axes are
+            batch and steps; of a network that reads windows the batch, one map a window.
     """
 
     motion: Float[Tensor, "batch steps motion=6"]
@@ -128,13 +128,25 @@ class RecurrentNetwork(MotionNetwork):
     def forward(self, frames: Frames) -> NetworkOutput:
         """Return the motion of each step of windows of frames, values within 0 and 1."""
         batch, count = frames.shape[:2]
-        features = [part.unflatten(0, (batch, count)) for part in self.encode(frames.flatten(0, 1))]
+        # Time first, so that the frames before and after every step are slices, not copies.
+        features = self.encode(frames.transpose(0, 1).flatten(0, 1))
         pairs = self.compare(
-            tuple(part[:, :-1].flatten(0, 1) for part in features),
-            tuple(part[:, 1:].flatten(0, 1) for part in features),
+            tuple(_frames(part, slice(None, -batch)) for part in features),
+            tuple(_frames(part, slice(batch, None)) for part in features),
         )
-        steps = tuple(part.unflatten(0, (batch, count - 1)) for part in pairs)
+        steps = tuple(part.unflatten(0, (count - 1, batch)).transpose(0, 1) for part in pairs)
         return self.regress(steps, None)[0]
+
+
+def _frames(part: Tensor, chosen: slice) -> Tensor:
+    """Return the features of some frames; maps keep the channels last, and so do gradients.
+
+    A plain slice's gradient has the channels first, whatever the slice had, and everything
+    before it then trains several times more slowly.
+    """
+    if part.ndim != 4:
+        return part[chosen]
+    return part.permute(0, 2, 3, 1)[chosen].permute(0, 3, 1, 2)
 
 
 class Stepper:
@@ -208,5 +220,5 @@ def _last_steps(output: NetworkOutput) -> NetworkOutput:
         motion=last(output.motion),
         heads=tuple(last(head) for head in output.heads),
         log_variance=None if output.log_variance is None else last(output.log_variance),
-        maps={name: last(values) for name, values in output.maps.items()},
+        maps={name: values[None] for name, values in output.maps.items()},
     )
