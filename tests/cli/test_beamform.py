@@ -119,6 +119,7 @@ def echoes_only():
         (made.sweep, ("--sound-speed", "-1"), "sound speed must be above 0 m/s, got -1"),
         (made.sweep, ("--columns", "0"), "columns of an image must be above 0, got 0"),
         (made.sweep, ("--clutter-rank", "8"), "from 0 to 7 for 8 pulses, got 8"),
+        (made.sweep, ("--clutter-rank", "1.5"), "a whole number is needed, got 1.5"),
         (made.sweep, ("--dynamic-range-db", "0"), "dynamic range"),
         (made.sweep, ("--photoacoustic-band-mhz", "2", "30"), "must lie between 0 and 1e+07 Hz"),
         (made.sweep, ("--rows", "9", "--depth-mm", "9", "--columns", "9"), "only one of --rows"),
@@ -138,6 +139,15 @@ def test_one_sentence_and_no_file(run, tmp_path, sweep, words, sentence):
     assert sentence in ran.sentence
     assert "Traceback" not in ran.error
     assert [file.name for file in tmp_path.iterdir()] == ["raw.h5"]
+
+
+def test_an_unknown_suffix_is_refused_before_the_work(run, channels):
+    """Nothing is beamformed for a file that cannot be written."""
+    ran = run("beamform", "raw.h5", "-o", "scan.docx", *SMALL)
+
+    assert ran.code == 1
+    assert "cannot write a scan as 'scan.docx'" in ran.sentence
+    assert "beamforming" not in ran.error
 
 
 def test_a_scan_is_no_channel_data(run, channels):

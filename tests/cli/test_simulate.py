@@ -111,16 +111,27 @@ def _run_here(work, jobs, workers, report):
         (("-o", "x.h5", *SMALL, "--subject", "-4"), "a number from 0 to 999999, got -4"),
         (
             ("-o", "x.h5", "--body", "wires", "--length-mm", "-4"),
-            "length_mm of a sweep must be above 0",
+            "--length-mm must be above 0 and at most 350, got -4",
         ),
         (("-o", "x.h5", *SMALL, "--excursion-mm", "30"), "too wide for a sweep of 4 mm"),
         (("-o", "x.h5", "--body", "uniform", "--frames", "0"), "from 1 to 100000 frames, got 0"),
-        (("-o", "x.h5", "--length-mm", "400", "--body", "uniform"), "up to 400 mm long"),
+        (("-o", "x.h5", "--length-mm", "400", "--body", "uniform"), "at most 350, got 400"),
+        (("-o", "x.h5", "--length-mm", "nan"), "at most 350, got nan"),
+        (("-o", "x.h5", "--length-mm", "inf"), "at most 350, got inf"),
+        (("-o", "x.h5", *SMALL, "--seed", "1.5"), "a whole number is needed, got 1.5"),
+        (
+            ("-o", "x.h5", *SMALL, "--shape", "straight", "--excursion-mm", "3"),
+            "a straight sweep has no --excursion-mm",
+        ),
+        (("-o", "x.h5", *SMALL, "--side", "left"), "'uniform' has no left --side"),
         (
             ("-o", "x.h5", "--body", "uniform", "--pixels", "0", "8"),
             "a frame needs pixels, got 0 x 8",
         ),
-        (("-o", "x.h5", "--body", "uniform", "--pixels", "90000", "8"), "at most 4096"),
+        (
+            ("-o", "x.h5", "--body", "uniform", "--pixels", "90000", "8"),
+            "at most 4096 a side, got 90000 x 8",
+        ),
         (("-o", "x.docx", *SMALL), "cannot write a scan as 'x.docx'"),
         (
             ("-o", "x.h5", *SMALL, "--probe", "convex", "--modalities", "photoacoustic"),

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import Group, Parameter
 
 from sonosweep.cli.inputs import OUTPUT, Force, Json
+from sonosweep.cli.whole_number import WHOLE, WHOLE_OR_AUTO
 
 IMAGE = Group("Where the pixels lie", sort_key=2)
 BEAMFORMING = Group("Beamforming", sort_key=2)
@@ -25,8 +26,8 @@ class PixelOptions:
             from its middle.
     """
 
-    columns: int | None = None
-    rows: int | None = None
+    columns: Annotated[int | None, WHOLE] = None
+    rows: Annotated[int | None, WHOLE] = None
     pixel_mm: float | None = None
     depth_mm: float | None = None
 
@@ -53,7 +54,7 @@ class BeamformingOptions:
     f_number: float | Literal["all"] | None = None
     dynamic_range_db: float | None = None
     power_doppler_range_db: float | None = None
-    clutter_rank: int | Literal["auto"] | None = None
+    clutter_rank: Annotated[int | Literal["auto"] | None, WHOLE_OR_AUTO] = None
     photoacoustic_band_mhz: Annotated[tuple[float, float] | None, Parameter(negative="")] = None
     wavelength_nm: float | None = None
     amplitude: Annotated[bool, Parameter(negative="")] = False

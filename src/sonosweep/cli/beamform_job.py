@@ -17,7 +17,7 @@ from sonosweep.imaging.sweep import SweepImaging, beamform_sweep
 from sonosweep.io import write_scan_as
 from sonosweep.io.open import HDF5
 from sonosweep.io.open_channel_data import open_channel_data
-from sonosweep.io.write_scan import poses_beside
+from sonosweep.io.write_scan import check_suffix, poses_beside
 from sonosweep.reconstruct.blocks import thread_count
 from sonosweep.scan import ChannelSweep, Frames, LazyFrames, Scan, modalities
 
@@ -43,6 +43,7 @@ def run_beamform(
         ScanError: If the channel data contradict themselves or the options.
         FormatError: If the input cannot be read or the output not be written.
     """
+    check_suffix(output)
     check_free(output, force)
     sweep = open_channel_data(data, wavelength_nm=options.wavelength_nm)
     _refuse_idle(sweep, options)

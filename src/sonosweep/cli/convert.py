@@ -1,9 +1,10 @@
 """``sonosweep convert``: a sequence from one's own images and poses, or back."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sonosweep.cli.inputs import Force, InputOptions, Json, read
+from sonosweep.cli.whole_number import WHOLE
 
 if TYPE_CHECKING:
     from sonosweep.scan import Scan
@@ -16,9 +17,9 @@ def convert(
     *,
     crop: tuple[int, int, int, int] | None = None,
     resize: tuple[int, int] | None = None,
-    first: int = 0,
-    last: int | None = None,
-    step: int = 1,
+    first: Annotated[int, WHOLE] = 0,
+    last: Annotated[int | None, WHOLE] = None,
+    step: Annotated[int, WHOLE] = 1,
     anonymize: bool = True,
     inputs: InputOptions | None = None,
     force: Force = False,

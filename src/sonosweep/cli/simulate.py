@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import Group, Parameter
 
 from sonosweep.cli.inputs import OUTPUT, Force, Json
+from sonosweep.cli.whole_number import WHOLE
 
 SWEEP = Group("A single sweep", sort_key=2)
 DATASET = Group("A data set", sort_key=2)
@@ -34,19 +35,19 @@ class SweepOptions:
     """
 
     body: Literal["forearm", "uniform", "wires", "cysts", "vessels"] = "forearm"
-    subject: int = 0
+    subject: Annotated[int, WHOLE] = 0
     side: Literal["left", "right"] = "right"
     shape: Literal["straight", "C", "L", "S"] = "S"
     length_mm: float = 60.0
     excursion_mm: float | None = None
-    frames: int | None = None
+    frames: Annotated[int | None, WHOLE] = None
     orientation: Literal["perpendicular", "parallel"] = "perpendicular"
     backward: Annotated[bool, Parameter(negative="")] = False
     probe: Literal["linear", "convex"] = "linear"
     pixels: Annotated[tuple[int, int] | None, Parameter(negative="")] = None
     modalities: Annotated[
         tuple[Literal["power_doppler", "photoacoustic", "iq", "amplitude"], ...],
-        Parameter(negative="", consume_multiple=True),
+        Parameter(negative="", consume_multiple=True, show_default=False),
     ] = ()
 
 
@@ -66,13 +67,13 @@ class DatasetOptions:
     dataset: Literal["dataset1", "dataset2", "dataset3"] | None = None
     size: Literal["full", "small"] | None = None
     layout: Literal["hdf5", "tusrec"] | None = None
-    workers: int | None = None
+    workers: Annotated[int | None, WHOLE] = None
 
 
 def simulate(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)],
-    seed: int = 0,
+    seed: Annotated[int, WHOLE] = 0,
     tracker: Literal["none", "electromagnetic", "optical"] = "none",
     sweep: SweepOptions | None = None,
     dataset: DatasetOptions | None = None,

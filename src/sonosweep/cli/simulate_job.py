@@ -11,9 +11,9 @@ from sonosweep.cli.simulate import DatasetOptions, SweepOptions
 from sonosweep.errors import ScanError
 from sonosweep.io import write_scan_as
 from sonosweep.io.open import HDF5
-from sonosweep.io.write_scan import poses_beside
+from sonosweep.io.write_scan import check_suffix, poses_beside
 from sonosweep.scan import Scan, select_tracked
-from sonosweep.simulate.bodies import named_body
+from sonosweep.simulate.bodies import LONGEST_MM, named_body
 from sonosweep.simulate.body import Body
 from sonosweep.simulate.datasets import dataset_recipe
 from sonosweep.simulate.make import make_dataset, with_reports
@@ -76,6 +76,8 @@ def run_sweep(
         ScanError: If it cannot be made.
         FormatError: If it cannot be written so.
     """
+    check_suffix(output)
+    _check(options)
     check_free(output, force)
     beside = poses_beside(output)
     if beside is not None:
@@ -113,10 +115,24 @@ def run_sweep(
     return line, facts
 
 
+def _check(options: SweepOptions) -> None:
+    """Check what would take long to find out, and options that have nothing to act on."""
+    longest_mm = LONGEST_MM - PHANTOM_MARGIN_MM
+    if not 0 < options.length_mm <= longest_mm:
+        raise ScanError(
+            f"--length-mm must be above 0 and at most {longest_mm:g}, got {options.length_mm:g}"
+        )
+    columns, rows = options.pixels or (1, 1)
+    if max(columns, rows) > MOST_PIXELS:
+        raise ScanError(f"--pixels are at most {MOST_PIXELS} a side, got {columns} x {rows}")
+    if options.shape == "straight" and options.excursion_mm:
+        raise ScanError("a straight sweep has no --excursion-mm: leave it out or give a --shape")
+    if options.body != "forearm" and options.side == "left":
+        raise ScanError(f"the phantom '{options.body}' has no left --side: leave it out")
+
+
 def _simulate(options: SweepOptions, seed: int, tracker: str) -> Scan:
     """Return the sweep that the options describe."""
-    if max(options.pixels or (1,)) > MOST_PIXELS:
-        raise ScanError(f"--pixels are at most {MOST_PIXELS} a side, got {options.pixels}")
     settings = draw_sweep(
         options.subject,
         seed,

@@ -4,9 +4,11 @@ import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
+
+from sonosweep.cli.whole_number import WHOLE
 
 if TYPE_CHECKING:
     from sonosweep.io.plus_config import PlusConfig, VolumeReconstructionSettings
@@ -47,9 +49,9 @@ class VolumeOptions:
     fan_origin_px: tuple[float, float] | None = None
     fan_radius_px: tuple[float, float] | None = None
     reject_below: float | None = None
-    skip_interval: int | None = None
+    skip_interval: Annotated[int | None, WHOLE] = None
     oriented: bool = False
-    threads: int | None = None
+    threads: Annotated[int | None, WHOLE] = None
 
 
 def volume_settings(options: VolumeOptions, config: "PlusConfig | None") -> "VolumeSettings":

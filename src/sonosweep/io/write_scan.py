@@ -8,6 +8,7 @@ from sonosweep.errors import FormatError
 from sonosweep.scan import Scan, Trajectory, select_tracked
 
 KNOWN = ".igs.mha, .igs.nrrd, .seq.nrrd, .h5, .dcm, .mp4, .mkv, or a folder for PNG images"
+SUFFIXES = (".mha", ".nrrd", ".h5", ".hdf5", ".dcm", ".mp4", ".mkv", "")
 POSES_NAME = "poses.csv"  # where the reader of a folder of images looks
 
 
@@ -28,6 +29,7 @@ def write_scan_as(
     Raises:
         FormatError: If the suffix is not known, or the file cannot be written.
     """
+    check_suffix(path)
     file = Path(path)
     if not keep_subject:
         scan = replace(scan, subject=None)
@@ -47,6 +49,16 @@ def write_scan_as(
     return (file,)
 
 
+def check_suffix(path: str | os.PathLike) -> None:
+    """Refuse a path that :func:`write_scan_as` cannot write, before frames are made for it.
+
+    Raises:
+        FormatError: If the suffix is not known.
+    """
+    if Path(path).suffix.lower() not in SUFFIXES:
+        raise FormatError(f"cannot write a scan as '{Path(path).name}'; known are {KNOWN}")
+
+
 def poses_beside(path: str | os.PathLike) -> Path | None:
     """Return where :func:`write_scan_as` puts the poses that a format cannot hold itself."""
     file = Path(path)
@@ -60,12 +72,10 @@ def _write_pictures(scan: Scan, file: Path, suffix: str) -> tuple[Path, ...]:
         from sonosweep.io.video_write import write_video
 
         write_video(scan.frames, scan.timestamps_s, file)
-    elif suffix == ".dcm":
+    else:
         from sonosweep.io.dicom_cine import write_dicom_cine
 
         write_dicom_cine(scan, file)
-    else:
-        raise FormatError(f"cannot write a scan as '{file.name}'; known are {KNOWN}")
     poses = poses_beside(file)
     if scan.image_to_reference is None or poses is None:
         return (file,)
