@@ -60,12 +60,14 @@ class ChannelScores(nn.Module):
         )
         self._use_maximum = reading.pooling == "mean_and_maximum"
 
-    def forward(self, features: Features) -> Float[Tensor, "batch channels 1 1"]:
+    def forward(
+        self, pixels: Float[Tensor, "batch pixels channels"]
+    ) -> Float[Tensor, "batch 1 channels"]:
         """Return the scores: within 0 and 1, or 0 and 2 with the maximum."""
-        scores = torch.sigmoid(self.perceptron(features.mean((-1, -2))))
+        scores = torch.sigmoid(self.perceptron(pixels.mean(1, keepdim=True)))
         if self._use_maximum:
-            scores = scores + torch.sigmoid(self.perceptron(features.amax((-1, -2))))
-        return scores[..., None, None]
+            scores = scores + torch.sigmoid(self.perceptron(pixels.amax(1, keepdim=True)))
+        return scores
 
 
 class SpatialScores(nn.Module):
@@ -132,24 +134,33 @@ class GlobalLocalAttention(nn.Module):
             local: E2, which is cut into blocks of ``size`` x ``size``.
             whole: E4.
         """
-        channel = self.global_scores(whole)
-        spatial = self.spatial_scores(whole if self._parallel else channel * whole)
-        refined = spatial * channel * whole
-        blocks = cut_blocks(self.local_scores(local) * local, self._size).flatten(2)
-        summary = self.after_local(self.to_local(refined)).flatten(1)
+        rows, columns = whole.shape[-2:]
+        pixels = whole.permute(0, 2, 3, 1).flatten(1, 2)
+        weighted = (self.global_scores(pixels) * pixels).unflatten(1, (rows, columns))
+        weighted = weighted.permute(0, 3, 1, 2)
+        refined = self.spatial_scores(whole if self._parallel else weighted) * weighted
+        pixels = local.permute(0, 2, 3, 1).flatten(1, 2)
+        recalibrated = (self.local_scores(pixels) * pixels).unflatten(1, local.shape[-2:])
+        blocks = cut_blocks(recalibrated, self._size)
+        summary = self.after_local(self.to_local(refined)).permute(0, 2, 3, 1).flatten(1)
         weights = _cosine(blocks, summary)
         if self._half:
             weights = (weights + 1) / 2
         # The projection of the weighted blocks, with the weights taken into the projection.
-        mixed = (self.mixing.weight * weights[:, None]) @ blocks
-        return self.after_mixing(mixed).reshape(refined.shape), refined, weights
+        mixed = self.after_mixing((self.mixing.weight * weights[:, None]) @ blocks)
+        places = mixed.unflatten(2, (*whole.shape[-2:], -1)).permute(0, 1, 4, 2, 3)
+        return places.flatten(1, 2), refined, weights
 
 
-def cut_blocks(features: Features, size: int) -> Float[Tensor, "batch blocks channels size size"]:
-    """Return the squares of a feature map side by side, row by row."""
-    batch, channels, rows, columns = features.shape
-    cut = features.reshape(batch, channels, rows // size, size, columns // size, size)
-    return cut.permute(0, 2, 4, 1, 3, 5).reshape(batch, -1, channels, size, size)
+def cut_blocks(
+    pixels: Float[Tensor, "batch rows columns channels"], size: int
+) -> Float[Tensor, "batch blocks numbers"]:
+    """Return the squares of a feature map side by side, row by row.
+
+    The numbers of a square go over its rows, columns and channels, as they lie in memory.
+    """
+    cut = pixels.unflatten(2, (-1, size)).unflatten(1, (-1, size))
+    return cut.transpose(2, 3).flatten(1, 2).flatten(2)
 
 
 def _cosine(

@@ -6,7 +6,6 @@ the arrays of all regions are the volume.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -66,20 +65,19 @@ def correlation_volume(
     first: Float[Tensor, "batch channels rows columns"],
     second: Float[Tensor, "batch channels rows columns"],
     geometry: CorrelationGeometry,
-    take: Literal["unfold", "gather"] = "unfold",
 ) -> Float[Tensor, "batch region_rows region_columns shift_rows shift_columns"]:
     """Return the cosine of every patch of the first map with its neighborhood in the second.
 
     One matrix product per region multiplies all pixels of the patch with all pixels of the
-    region; sums along its diagonals are the products of whole patches. Nothing outside the
-    maps correlates. Differentiable in both maps; always in single precision.
+    region; sums along its diagonals are the products of whole patches. Regions are cut out by
+    index, which trains faster than views (their gradients are slow) and exports to ONNX as
+    Gather. Nothing outside the maps correlates. Differentiable in both maps; always in
+    single precision.
 
     Args:
         first: Features of the frame, whose patches stay.
         second: Features of the next frame, whose patches move.
         geometry: Sizes of patch, region and stride.
-        take: How regions are cut out: by a view, or by index, which exports to ONNX as
-            Gather and MatMul. The numbers are the same.
 
     References:
         Lee et al. 2025, section "Correlation Operation".
@@ -89,18 +87,14 @@ def correlation_volume(
         quarter of it lies outside; here regions lie symmetrically.
     """
     with full_precision(first.device):
-        cut = _view if take == "unfold" else _gather
-        first, second = first.float(), second.float()
-        patches = cut(first, geometry.patch, geometry.patch // 2, geometry)
-        windows = cut(second, geometry.window, geometry.window // 2, geometry)
+        before, after = (maps.float().permute(0, 2, 3, 1) for maps in (first, second))
+        patches = _squares(before, geometry.patch, geometry)
+        windows = _squares(after, geometry.window, geometry)
         dots = _patch_products(torch.bmm(patches, windows.transpose(1, 2)), geometry)
-        energy = second.square().sum(1, keepdim=True)
-        norms = _moving_norms(
-            cut(energy, geometry.window, geometry.window // 2, geometry), geometry
-        )
+        energy = _squares(after.square().sum(-1, keepdim=True), geometry.window, geometry)
         still = patches.square().sum((1, 2)).add(EPSILON**2).sqrt()[:, None, None]
+        volume = dots / (still * _moving_norms(energy, geometry) + EPSILON)
         rows, columns = (geometry.regions(size) for size in first.shape[-2:])
-        volume = dots / (still * norms + EPSILON)
         return volume.reshape(len(first), rows, columns, geometry.side, geometry.side)
 
 
@@ -116,9 +110,18 @@ def subtract_local_mean(
         features: Any map.
         size: Side of the neighborhood in pixels; odd. At the edges the part inside counts.
     """
+    with full_precision(features.device):
+        pixels = features.float().permute(0, 2, 3, 1)
+        rows, columns = (_averages(count, size, features.device) for count in pixels.shape[1:3])
+        mean = columns @ (rows @ pixels.flatten(2)).reshape(pixels.shape)
+        return (pixels - mean).permute(0, 3, 1, 2)
+
+
+def _averages(count: int, size: int, device: torch.device) -> Float[Tensor, "count count"]:
+    """Return the matrix that averages over neighbors along an axis."""
     half = size // 2
-    mean = F.avg_pool2d(features, (size, 1), 1, (half, 0), count_include_pad=False)
-    return features - F.avg_pool2d(mean, (1, size), 1, (0, half), count_include_pad=False)
+    box = box_matrix(count + 2 * half, size, device)[:, half : half + count]
+    return box / box.sum(1, keepdim=True)
 
 
 def _patch_products(
@@ -126,8 +129,10 @@ def _patch_products(
 ) -> Float[Tensor, "regions shift_rows shift_columns"]:
     """Return sums over the patch from products of single pixels, first along its rows."""
     patch, window = geometry.patch, geometry.window
-    rows = sum_diagonals(products.unflatten(1, (patch, patch)).flatten(0, 1), 1)
-    both = sum_diagonals(rows.unflatten(0, (-1, patch)), window).unflatten(1, (window, window))
+    spare = (0, 0, 0, 1)
+    rows = sum_diagonals(F.pad(products.reshape(-1, patch, window**2), spare), 1)
+    both = sum_diagonals(F.pad(rows.reshape(-1, patch, window**2), spare), window)
+    both = both.unflatten(1, (window, window))
     return both[:, : geometry.side, : geometry.side]
 
 
@@ -140,35 +145,28 @@ def _moving_norms(
     return (box @ squares @ box.T).clamp_min(0).add(EPSILON**2).sqrt()
 
 
-def _view(
-    features: Tensor, side: int, margin: int, geometry: CorrelationGeometry
+def _squares(
+    pixels: Float[Tensor, "batch rows columns channels"], side: int, geometry: CorrelationGeometry
 ) -> Float[Tensor, "regions pixels channels"]:
-    """Return the pixels of a square at each region."""
-    padded = _pad(features, side, margin, geometry)
-    squares = padded.unfold(2, side, geometry.stride).unfold(3, side, geometry.stride)
-    return squares.permute(0, 2, 3, 4, 5, 1).reshape(-1, side * side, features.shape[1])
-
-
-def _gather(
-    features: Tensor, side: int, margin: int, geometry: CorrelationGeometry
-) -> Float[Tensor, "regions pixels channels"]:
-    """Return the same as :func:`_view`, by index."""
-    padded = _pad(features, side, margin, geometry)
+    """Return the pixels of a square around each region's middle."""
+    padded = _pad(pixels, side, geometry)
     rows, columns = (
-        geometry.stride * torch.arange(geometry.regions(size), device=features.device)[:, None]
-        + torch.arange(side, device=features.device)
-        for size in features.shape[-2:]
+        geometry.stride * torch.arange(geometry.regions(size), device=pixels.device)[:, None]
+        + torch.arange(side, device=pixels.device)
+        for size in pixels.shape[1:3]
     )
-    index = rows[:, None, :, None] * padded.shape[-1] + columns[None, :, None, :]
-    pixels = padded.permute(0, 2, 3, 1).flatten(1, 2).index_select(1, index.flatten())
-    return pixels.reshape(-1, side * side, features.shape[1])
+    index = rows[:, None, :, None] * padded.shape[2] + columns[None, :, None, :]
+    taken = padded.flatten(1, 2).index_select(1, index.flatten())
+    return taken.reshape(-1, side * side, pixels.shape[-1])
 
 
-def _pad(features: Tensor, side: int, margin: int, geometry: CorrelationGeometry) -> Tensor:
-    """Return features with zeros around, so that squares begin at multiples of the stride."""
-    before = margin - geometry.stride // 2
+def _pad(
+    pixels: Float[Tensor, "batch rows columns channels"], side: int, geometry: CorrelationGeometry
+) -> Tensor:
+    """Return pixels with zeros around, so that squares begin at multiples of the stride."""
+    before = side // 2 - geometry.stride // 2
     after = [
         (geometry.regions(size) - 1) * geometry.stride + side - size - before
-        for size in features.shape[-2:]
+        for size in pixels.shape[1:3]
     ]
-    return F.pad(features, (before, after[1], before, after[0]))
+    return F.pad(pixels, (0, 0, before, after[1], before, after[0]))

@@ -3,27 +3,26 @@
 from contextlib import AbstractContextManager, nullcontext
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
 
 def sum_diagonals(
-    products: Float[Tensor, "batch count length"], step: int
+    products: Float[Tensor, "batch count_and_spare length"], step: int
 ) -> Float[Tensor, "batch length"]:
-    """Return ``sum_u products[:, u, t + u * step]`` for every ``t``.
+    """Return ``sum_u products[:, u, t + u * step]`` for every ``t``, all ``u`` but the last.
 
     Rows laid end to end and cut again at ``length + step`` are rows shifted by ``step``
     each, so that one sum over rows does it, without an index. Where ``t + u * step`` is
     beyond a row's end the sum has no meaning and the caller cuts it off.
 
     Args:
-        products: Rows to shift and add.
+        products: Rows to shift and add, then one spare row, which only has to be there.
         step: By which each row is shifted against the row before.
     """
-    _, count, length = products.shape
-    ends = F.pad(products.flatten(1), (0, count * step))
-    return ends.unflatten(1, (count, length + step)).sum(1)[:, :length]
+    count, length = products.shape[1] - 1, products.shape[2]
+    shifted = products.flatten(1)[:, : count * (length + step)]
+    return shifted.unflatten(1, (count, length + step)).sum(1)[:, :length]
 
 
 def box_matrix(length: int, box: int, device: torch.device) -> Float[Tensor, "places length"]:

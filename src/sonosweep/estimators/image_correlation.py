@@ -73,8 +73,9 @@ def image_correlation(
         still = _blocks(first.float(), block)
         still = still - still.mean((1, 2), keepdim=True)
         windows = _windows(second.float(), geometry)
+        spare = F.pad(still, (0, 0, 0, 1))
         dots = [
-            sum_diagonals(torch.bmm(still, windows[:, y : y + block]), 1)[:, :lateral]
+            sum_diagonals(torch.bmm(spare, windows[:, y : y + block]), 1)[:, :lateral]
             for y in range(axial)
         ]
         energy = still.square().sum((1, 2))[:, None, None] * _moving_energy(windows, block)

@@ -33,9 +33,7 @@ from sonosweep.estimators.motion_head import MotionHead
 from sonosweep.estimators.network import FrameShape, NetworkOutput, RecurrentNetwork
 
 SIZE = 4
-"""Side of E4 and of a local block."""
-REDUCTION = 16
-"""Of E3, where the correlation volumes join, against the frame; E1 and E2 are at a quarter."""
+"""Side of E4 and of a local block; also pixels of E1 and E2 for each of E3."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +44,9 @@ class MoGLoOptions:
         width: Channels of E1; 64 in the paper.
         blocks: Residual blocks in each encoder block. The paper says "ResNet-based";
             (3, 4, 6, 3) is the released code.
-        stem_stride: Of the first convolution: 2 with a block that shrinks after it (code),
-            or 4, which saves most of encoder block 1.
+        stem_stride: Of the first convolution: 2 with a block that halves after it (code);
+            4, which saves most of encoder block 1; or 8, with which E1, E2 and E3 have half
+            as many rows and columns.
         halve: Whether encoder blocks 3 and 4 halve the map after the convolutions (code)
             or before, which saves most of them.
         hidden: Units of each LSTM; 512 in the code, not said in the paper.
@@ -68,13 +67,13 @@ class MoGLoOptions:
             not say.
         log_variance: Whether the variance of each number is predicted as well.
         geometry: Of the correlation of E1.
-        image_geometry: Of the correlation of frames; blocks of 16 pixels lie on E3's grid.
+        image_geometry: Of the correlation of frames; its blocks are the pixels of E3.
         reading: Of the attention.
     """
 
     width: PositiveInt = 64
     blocks: tuple[PositiveInt, PositiveInt, PositiveInt, PositiveInt] = (3, 4, 6, 3)
-    stem_stride: Literal[2, 4] = 2
+    stem_stride: Literal[2, 4, 8] = 2
     halve: Literal["before", "after"] = "after"
     hidden: PositiveInt = 512
     projection: NonNegativeInt = 0
@@ -97,11 +96,16 @@ class MoGLoOptions:
         """
         if self.blocks[2] < 2:
             raise ScanError("encoder block 3 of moglo halves the map twice: it needs 2 blocks")
-        if self.geometry.stride != REDUCTION // 4 or self.image_geometry.block != REDUCTION:
+        if self.geometry.stride != SIZE or self.image_geometry.block != self.reduction:
             raise ScanError(
-                f"the regions of moglo lie {REDUCTION // 4} pixels of E1 apart and its blocks"
-                f" have {REDUCTION} pixels, as E3's grid has"
+                f"the correlation of moglo joins E3: it needs stride {SIZE} and blocks of"
+                f" {self.reduction}, got {self.geometry.stride} and {self.image_geometry.block}"
             )
+
+    @property
+    def reduction(self) -> int:
+        """Pixels of a frame along each side of a pixel of E3."""
+        return SIZE * max(self.stem_stride, 4)
 
 
 PAPER = MoGLoOptions(zero_mean=False, image_correlation=False, reading=PAPER_READING)
@@ -118,7 +122,7 @@ COMPACT = MoGLoOptions(
     stem_stride=4,
     halve="before",
     hidden=128,
-    projection=64,
+    projection=32,
     geometry=CorrelationGeometry(radius=2),
 )
 """Trains on a CPU and runs on one."""
@@ -141,13 +145,12 @@ class MoGLo(RecurrentNetwork):
         super().__init__()
         self.frame_shape = shape = shape or FrameShape()
         self.options = o = options or MoGLoOptions()
-        self.take: Literal["unfold", "gather"] = "unfold"  # "gather" to export
         if shape.rows % 64 or shape.columns % 64:
             raise ScanError(
                 "moglo reads frames whose sides are multiples of 64 pixels, got"
                 f" {shape.rows} x {shape.columns}"
             )
-        w, regions = o.width, shape.rows * shape.columns // REDUCTION**2
+        w, regions = o.width, shape.rows * shape.columns // o.reduction**2
         volume = _volume_channels(o, regions)
         self.encoder_1 = _first_encoder(shape.channels, o)
         self.encoder_2 = residual_stage(2 * w, 2 * w, o.blocks[1])
@@ -166,9 +169,12 @@ class MoGLo(RecurrentNetwork):
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stub
 
     def encode(self, frames: Float[Tensor, "batch channels rows columns"]) -> tuple[Tensor, ...]:
-        """Return E1 of single frames, and the B-mode frames if they are correlated."""
-        keep = self.options.correlation and self.options.image_correlation
-        return (self.encoder_1(frames), *((frames[:, :1],) if keep else ()))
+        """Return of single frames E1, and what is correlated: E1 and, if asked for, B-mode."""
+        o, e1 = self.options, self.encoder_1(frames)
+        if not o.correlation:
+            return (e1,)
+        correlated = subtract_local_mean(e1) if o.zero_mean else e1
+        return (e1, correlated, *((frames[:, :1],) if o.image_correlation else ()))
 
     def compare(self, first: tuple[Tensor, ...], second: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
         """Return L and G of steps (E4 without attention), then maps to look at."""
@@ -176,7 +182,7 @@ class MoGLo(RecurrentNetwork):
         e3 = self.encoder_3(e2)
         shown: tuple[Tensor, ...] = ()
         if self.options.correlation:
-            volume, shown = self._volumes(first, second)
+            volume, shown = self._volumes(first[1:], second[1:])
             e3 = torch.cat((e3, self.volume_norm(volume).to(e3.dtype)), 1)
         e4 = self.encoder_4(e3)
         if not self.options.attention:
@@ -211,9 +217,8 @@ class MoGLo(RecurrentNetwork):
     ) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return C as channels on E3's grid, and its mean over regions to look at."""
         o = self.options
-        e1 = [subtract_local_mean(e[0]) if o.zero_mean else e[0] for e in (first, second)]
         with torch.set_grad_enabled(torch.is_grad_enabled() and o.differentiable):
-            volume = correlation_volume(e1[0], e1[1], o.geometry, self.take)
+            volume = correlation_volume(first[0], second[0], o.geometry)
         volumes = [_as_channels(volume, o.layout)]
         if o.image_correlation:
             frames = image_correlation(first[1], second[1], o.image_geometry)
@@ -252,7 +257,7 @@ class _MotionEstimator(nn.Module):
 
 
 def _first_encoder(channels: int, options: MoGLoOptions) -> nn.Module:
-    """Return encoder block 1, which shrinks a frame four times."""
+    """Return encoder block 1, which makes a frame 4 or 8 times smaller."""
     width, stride = options.width, options.stem_stride
     return nn.Sequential(
         convolution(channels, width, 7, stride),
