@@ -3,6 +3,9 @@
 import runpy
 from pathlib import Path
 
+from sonosweep.simulate import uniform_phantom
+from tests.estimators.tiny_weights import tiny_weights
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -41,3 +44,18 @@ def test_pack_demo_sweep(tmp_path, recordings):
 
     name = "liver_sweep_poses.csv"
     assert (tmp_path / name).read_bytes() == (packed / name).read_bytes()
+
+
+def test_attention_maps(tmp_path):
+    """The figure of the estimators page, of any weights and any body."""
+    spacing = 38.0 / 64
+    weights = tiny_weights(tmp_path, "moglo", spacing_mm=(spacing, spacing))
+
+    example("attention_maps.py")(
+        tmp_path / "maps.png",
+        str(weights),
+        frames=20,
+        body=uniform_phantom(size_mm=(60.0, 60.0, 60.0)),
+    )
+
+    assert (tmp_path / "maps.png").read_bytes().startswith(b"\x89PNG")
