@@ -15,6 +15,8 @@ from sonosweep.reconstruct.blocks import SUPPORTED
 from sonosweep.scan import Companion, LazyFrames, Scan
 
 PHOTOACOUSTIC = "photoacoustic"
+MOST_GAIN_DB = 200.0
+"""Of a depth compensation: 0.3 per mm over 75 mm; beyond, numbers overflow."""
 IMAGE_CHANNELS = (1, 3, 4)  # gray, colour, colour with opacity
 
 
@@ -106,7 +108,24 @@ def _corrected(name: str, companion: Companion, correction: PhotoacousticCorrect
             f"the {name} frames are gray levels: say how many decibels lie between black and"
             " white (--photoacoustic-range-db) to compensate for depth"
         )
+    _check_depth(name, companion, correction)
     return replace(companion, frames=_DepthCorrected(companion, correction, decibels))
+
+
+def _check_depth(name: str, companion: Companion, correction: PhotoacousticCorrection) -> None:
+    """Check that something is left of the frames, and that they do not overflow."""
+    deepest_mm = companion.origin_mm[1] + companion.spacing_mm[1] * (companion.frames.shape[1] - 1)
+    if correction.reject_skin_mm > deepest_mm:
+        raise ScanError(
+            f"nothing would be left of the {name} frames: they end {deepest_mm:.4g} mm deep, and"
+            f" the skin to reject is {correction.reject_skin_mm:g} mm"
+        )
+    gain_db = 20 * np.log10(np.e) * correction.fading_per_mm * deepest_mm
+    if gain_db > MOST_GAIN_DB:
+        raise ScanError(
+            f"a depth compensation of {correction.fading_per_mm:g} per mm would brighten the"
+            f" {name} frames by {gain_db:.4g} dB where they end: light fades by about 0.1 per mm"
+        )
 
 
 class _DepthCorrected(LazyFrames):
