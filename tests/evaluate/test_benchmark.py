@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +20,21 @@ from sonosweep.evaluate.baselines import (
 )
 from sonosweep.evaluate.benchmark import measure, run_benchmark
 from sonosweep.evaluate.dataset_scans import dataset_scans
-from sonosweep.evaluate.methods import Decorrelation, MeanMotion, Method, NoMotion, TrueMean
+from sonosweep.evaluate.methods import (
+    Decorrelation,
+    MeanMotion,
+    Method,
+    Network,
+    NoMotion,
+    TrueMean,
+)
 from sonosweep.geometry import poses_from_steps, step_from_motion
 from sonosweep.io import open_scan
 from sonosweep.io.hdf5 import write_scan
 from sonosweep.scan import Calibration, Scan, Trajectory
 from sonosweep.simulate import make_dataset
 
+from ..estimators.tiny_weights import SIDE, SPACING_MM, tiny_weights
 from ..simulate.tiny_dataset import tiny_recipe
 
 ROUND_OFF = 1e-9
@@ -212,9 +220,10 @@ def test_methods_learn_from_no_test_subject(tmp_path):
     """A file of a test subject among the training scans is refused by name."""
     write_scan(scan_of(1.0, 1.0, subject="simulated-900001"), tmp_path / "test.h5")
 
-    for baselines in (quick_baselines, decorrelation_baselines):
-        with pytest.raises(ScanError, match="'simulated-900001' is kept for tests"):
-            baselines([tmp_path / "test.h5"])
+    with pytest.raises(ScanError, match="'simulated-900001' is kept for tests"):
+        quick_baselines([tmp_path / "test.h5"])
+    with pytest.raises(ScanError, match="'simulated-900001' is kept for tests"):
+        decorrelation_baselines([tmp_path / "test.h5"], tmp_path)
 
 
 def test_a_data_set_with_a_subject_in_two_parts_is_refused(dataset):
@@ -251,3 +260,21 @@ def test_the_mean_of_curves():
     assert mean.preset == "a, b"
     with pytest.raises(ScanError, match="different depths"):
         mean_curve([one, DecorrelationCurve(depth_mm=(0.0, 9.0), width_mm=(1.0, 1.0))])
+
+
+@pytest.mark.usefixtures("one_process")
+def test_a_network_is_one_of_the_methods(tmp_path):
+    """Its answer is that of the weights, and the direction turns the elevational motion."""
+    noise = np.random.default_rng(1).integers(0, 255, (8, SIDE, SIDE), np.uint8)
+    scan = replace(scan_of(*[1.0] * 7), frames=noise, calibration=Calibration((SPACING_MM,) * 2))
+    write_scan(scan, tmp_path / "noise.h5")
+    file = tiny_weights(tmp_path)
+    both = [Network("forward", file), Network("backward", file, direction=-1)]
+
+    rows = run_benchmark([tmp_path / "noise.h5"], both, tmp_path / "kept", simulated=False)
+
+    assert [row["kind"] for row in rows] == ["network", "network"]
+    forward, backward = (row["correlation_lateral"] for row in rows)
+    assert forward == pytest.approx(backward)
+    assert rows[0]["final_drift_mm"] != pytest.approx(rows[1]["final_drift_mm"])
+    assert rows[0]["direction_agrees"] is not rows[1]["direction_agrees"]

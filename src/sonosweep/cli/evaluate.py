@@ -41,14 +41,16 @@ class BenchmarkOptions:
 
     dataset: Path | None = None
     part: Literal["validation", "test"] | None = None
-    weights: Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)] = ()
+    weights: Annotated[
+        tuple[str, ...], Parameter(negative="", consume_multiple=True, show_default=False)
+    ] = ()
     baselines: Literal["all", "quick", "none"] | None = None
     scans: int | None = None
     against: str | None = None
     paper: Literal["dataset1", "ablation1", "ablation2", "dataset3"] | None = None
     workers: int | None = None
     cache: Path | None = None
-    again: Annotated[bool, Parameter(negative="")] = False
+    again: Annotated[bool, Parameter(negative="", show_default=False)] = False
     title: str | None = None
 
 

@@ -35,15 +35,16 @@ def run_evaluation(
     files = _output_files(output, force)
     data = dataset_scans(folder, options.part or "test", options.scans)
     networks = trained_networks(options.weights)
+    cache = options.cache or folder.resolve().parent / f"{folder.resolve().name}.results"
     methods = [
-        *_baselines(options.baselines or "all", data.training),
+        *_baselines(options.baselines or "all", data.training, cache),
         *(network.method for network in networks),
     ]
     with progress("evaluating, frames") as show:
         rows = run_benchmark(
             data.scans,
             methods,
-            options.cache or folder.resolve().parent / f"{folder.resolve().name}.results",
+            cache,
             simulated=True,
             workers=options.workers if options.workers is not None else os.cpu_count() or 1,
             again=options.again,
@@ -79,13 +80,13 @@ def _output_files(output: Path | None, force: bool) -> tuple[Path, Path] | None:
     return files
 
 
-def _baselines(which: str, training: Sequence[Path]) -> list[Method]:
+def _baselines(which: str, training: Sequence[Path], cache: Path) -> list[Method]:
     if which == "none":
         return []
     if which == "quick":
         return quick_baselines(training)
     with progress("calibrating the decorrelation estimator, scans") as show:
-        return quick_baselines(training) + decorrelation_baselines(training, show)
+        return quick_baselines(training) + decorrelation_baselines(training, cache, show)
 
 
 def _command() -> str:

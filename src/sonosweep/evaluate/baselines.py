@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,14 @@ import torch
 from torch import Tensor
 
 from sonosweep.errors import ScanError
-from sonosweep.estimators import DecorrelationCurve, calibrate
+from sonosweep.estimators import DecorrelationCurve, calibrate, read_curve, write_curve
 from sonosweep.evaluate.methods import (
     Decorrelation,
     MeanMotion,
     Method,
     NoMotion,
     TrueMean,
+    file_digest,
     tracked_motion,
 )
 from sonosweep.geometry import MOTION_NAMES
@@ -43,21 +45,29 @@ def quick_baselines(training: Sequence[Path]) -> list[Method]:
 
 
 def decorrelation_baselines(
-    training: Sequence[Path], progress: Callable[[int, int], None] | None = None
+    training: Sequence[Path],
+    folder: Path,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[Method]:
     """Return the decorrelation estimator, its scale guessed and its scale calibrated.
 
     The curve comes from the first scan of each of the first few training subjects; the
     direction, which speckle cannot tell, is that of the training scans.
 
+    Args:
+        training: Files of tracked scans, none of a test subject.
+        folder: Where curves are kept, so that each is measured once.
+        progress: Called with the scans done and in all.
+
     Raises:
         ScanError: As :func:`quick_baselines`, or if a scan does not decorrelate.
+        FormatError: If the folder cannot be written to.
     """
     direction = -1 if float(mean_motion(training)[ELEVATIONAL]) < 0 else 1
     chosen = list(_one_of_each_subject(training).values())[:CALIBRATION_SCANS]
     curves = []
     for done, path in enumerate(chosen):
-        curves.append(calibrate(locate_image(open_scan(path))))
+        curves.append(_curve(path, folder))
         if progress is not None:
             progress(done + 1, len(chosen))
     name = f"decorrelation, calibrated on {len(chosen)} training scans"
@@ -102,6 +112,14 @@ def mean_curve(curves: Sequence[DecorrelationCurve]) -> DecorrelationCurve:
         preset=", ".join(curve.preset for curve in curves),
         quality={},
     )
+
+
+def _curve(path: Path, folder: Path) -> DecorrelationCurve:
+    """Return the curve of a tracked scan, measured if it is not there yet."""
+    kept = folder / f"curve_{version('sonosweep')}_{file_digest(path)[:16]}.toml"
+    if not kept.is_file():
+        write_curve(calibrate(locate_image(open_scan(path))), kept)
+    return read_curve(kept)
 
 
 def _comparable(curve: DecorrelationCurve, other: DecorrelationCurve) -> bool:

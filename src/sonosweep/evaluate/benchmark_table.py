@@ -92,7 +92,9 @@ def results_table(results: Sequence[MethodResult], columns: Mapping[str, str]) -
     """Return a row per method: mean and interval of the metrics of these columns."""
     rows: list[dict[str, Cell]] = []
     for result in results:
-        row: dict[str, Cell] = {"method": result.name, "trainings": _trainings(result)}
+        row: dict[str, Cell] = {"method": result.name}
+        if any(other.kind == "network" for other in results):
+            row["trainings"] = result.runs if result.kind == "network" else None
         for header, metric in columns.items():
             row[header] = interval_text(result.interval(metric))
         rows.append(row)
@@ -102,7 +104,8 @@ def results_table(results: Sequence[MethodResult], columns: Mapping[str, str]) -
 def _tables(results: Sequence[MethodResult]) -> list[str]:
     parts = [
         "## The paper's metrics",
-        "rAE and aAE mix mm and degrees as the paper does; lower is better but for Corr.",
+        "rAE and aAE mix mm and degrees as the paper does; lower is better but for Corr. A"
+        " network's numbers are, of each sweep, the mean over its trainings.",
         results_table(results, PAPER_COLUMNS),
         "## Millimetres and degrees apart",
         results_table(results, UNMIXED_COLUMNS),
@@ -179,7 +182,7 @@ def _paper(rows: Sequence[Row], paper: PaperTable) -> str:
 def _spread(results: Sequence[MethodResult]) -> str:
     rows: list[dict[str, Cell]] = []
     for result in results:
-        row: dict[str, Cell] = {"method": result.name, "trainings": _trainings(result)}
+        row: dict[str, Cell] = {"method": result.name, "trainings": result.runs}
         for header, metric in PAPER_COLUMNS.items():
             means = result.run_means.get(metric)
             ends = None if means is None else f"{cell_text(min(means))} to {cell_text(max(means))}"
@@ -213,7 +216,3 @@ def _differences(results: Sequence[MethodResult], reference: MethodResult, what:
 
 def _difference_text(interval: Interval, won: int) -> str:
     return f"{interval_text(interval)} ({won})"
-
-
-def _trainings(result: MethodResult) -> Cell:
-    return result.runs if result.kind == "network" else None

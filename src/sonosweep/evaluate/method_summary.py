@@ -93,7 +93,8 @@ def _result(name: str, scans: tuple[str, ...], rows: list[Row]) -> MethodResult:
     for run, of_scan in by_run.items():
         missing = next((scan for scan in scans if scan not in of_scan), None)
         if missing is not None:
-            raise ScanError(f"'{name}' {run} has no result for scan '{missing}'")
+            who = f"{name} {run}".strip()
+            raise ScanError(f"'{who}' has no result for scan '{missing}'")
     values, run_means = {}, {}
     for metric in _metrics(rows):
         table = [[of_scan[scan][metric] for scan in scans] for of_scan in by_run.values()]
