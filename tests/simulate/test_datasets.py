@@ -347,3 +347,11 @@ def wait_for(condition, longest_s: float) -> None:
     while not condition():
         assert time.monotonic() < end, "waited too long"
         time.sleep(0.05)
+
+
+def test_changed_code_makes_another_data_set(monkeypatch):
+    """Scans of code that was changed do not join those that older code made."""
+    before = dataset_recipe("dataset1", "small", 5).digest()
+    monkeypatch.setattr("sonosweep.simulate.datasets.program_digest", lambda: "changed")
+
+    assert dataset_recipe("dataset1", "small", 5).digest() != before

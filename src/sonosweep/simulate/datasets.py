@@ -21,8 +21,9 @@ References:
 import hashlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
+from functools import cache
 from itertools import product
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -43,6 +44,21 @@ STEP_MM = 0.21  # mean of data set 1: 199.3 mm in 950 frames
 ARM_MM = 250.0  # length of a simulated forearm
 END_MM = 6.0  # of it that a sweep leaves free
 CONVEX_CONTACT_MM = 25.0  # of its face that rests on an arm
+
+
+@cache
+def program_digest() -> str:
+    """Return a text that differs for different versions of the code that makes scans.
+
+    The version number alone would let scans of changed code join those of a data set that
+    was begun before.
+    """
+    package = Path(__file__).parents[1]
+    found = hashlib.sha256()
+    for part in ("geometry", "imaging", "simulate"):
+        for file in sorted((package / part).glob("*.py")):
+            found.update(file.name.encode() + b"\0" + file.read_bytes())
+    return found.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -75,7 +91,7 @@ class PlannedScan:
 
     def digest(self) -> str:
         """Return a text that differs for different scans and versions of the program."""
-        facts = repr((version("sonosweep"), sorted(asdict(self).items())))
+        facts = repr((program_digest(), sorted(asdict(self).items())))
         return hashlib.sha256(facts.encode()).hexdigest()[:32]
 
 
