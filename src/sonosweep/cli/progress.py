@@ -1,10 +1,12 @@
 """Progress on standard error: a bar where a person looks, plain lines otherwise."""
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 LINES_PER_TASK = 5
+LONGEST_SILENCE_S = 30.0
 
 
 @contextmanager
@@ -23,13 +25,13 @@ def progress(task: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def _lines(task: str) -> Callable[[int, int], None]:
-    said = -1
+    said, when = -1, time.monotonic()
 
     def show(done: int, total: int) -> None:
-        nonlocal said
+        nonlocal said, when
         part = LINES_PER_TASK * done // max(total, 1)
-        if part > said:
-            said = part
+        if part > said or time.monotonic() - when > LONGEST_SILENCE_S:
+            said, when = part, time.monotonic()
             print(f"{task}: {done} of {total}", file=sys.stderr, flush=True)
 
     return show
