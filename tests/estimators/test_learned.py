@@ -13,6 +13,7 @@ from sonosweep.estimators.fit_scan import fit_scan
 from sonosweep.estimators.learned import BATCH_FRAMES, LearnedEstimator
 from sonosweep.estimators.network import (
     Frames,
+    FrameShape,
     MotionNetwork,
     NetworkOutput,
     RecurrentNetwork,
@@ -59,6 +60,8 @@ def joined(outputs: list[NetworkOutput | None]) -> Tensor:
 class Remembering(RecurrentNetwork):
     """Sees the mean of each frame, and remembers the sum of all differences."""
 
+    frame_shape = FrameShape(1, 32, 32)
+
     def encode(self, frames: Tensor) -> tuple[Tensor, ...]:
         """Return the mean."""
         return (frames.mean((1, 2, 3)),)
@@ -79,6 +82,7 @@ class Remembering(RecurrentNetwork):
 class Windowed(WindowNetwork):
     """Sees the means of three frames."""
 
+    frame_shape = FrameShape(1, 32, 32)
     window = 3
 
     def forward(self, frames: Frames) -> NetworkOutput:

@@ -7,6 +7,7 @@ from sonosweep.estimators.dc2 import DC2, DC2Options
 from sonosweep.estimators.dcl import DCL, DCLOptions
 from sonosweep.estimators.efficient import Efficient, EfficientOptions
 from sonosweep.estimators.lstm import LSTM, LSTMOptions
+from sonosweep.estimators.moglo import MoGLo, MoGLoOptions
 from sonosweep.estimators.network import FrameShape, MotionNetwork
 from sonosweep.estimators.resnext import ResNeXtSize
 
@@ -19,4 +20,5 @@ TINY: dict[str, Callable[[], MotionNetwork]] = {
     "dc2": lambda: DC2(SHAPE, DC2Options(size=TINY_RESNEXT)),
     "efficient": lambda: Efficient(SHAPE, EfficientOptions(width=0.25, depth=0.2, dropout=0.0)),
     "lstm": lambda: LSTM(SHAPE, LSTMOptions(width=4, blocks=(1, 1, 1, 1), hidden=8)),
+    "moglo": lambda: MoGLo(SHAPE, MoGLoOptions(width=8, blocks=(1, 1, 2, 1), hidden=8)),
 }

@@ -19,16 +19,14 @@ EPSILON = 1e-6
 
 
 @dataclass(frozen=True)
-class ImageCorrelationGeometry:
-    """Sizes in pixels of the frame.
+class ShiftRange:
+    """How far blocks move, in pixels of the frame.
 
     Attributes:
-        block: Side of a block.
         axial_radius: Largest shift along the axial axis.
         lateral_radius: Largest shift along the lateral axis.
     """
 
-    block: int = 16
     axial_radius: int = 3
     lateral_radius: int = 5
 
@@ -36,17 +34,17 @@ class ImageCorrelationGeometry:
         """Check the sizes.
 
         Raises:
-            ScanError: If one is too small.
+            ScanError: If one is negative.
         """
-        if self.block < 2 or min(self.axial_radius, self.lateral_radius) < 0:
+        if min(self.axial_radius, self.lateral_radius) < 0:
             raise ScanError(
-                "blocks have at least 2 pixels and radii are not negative, got"
-                f" {self.block}, {self.axial_radius} and {self.lateral_radius}"
+                "the radii of a correlation are not negative, got"
+                f" {self.axial_radius} and {self.lateral_radius}"
             )
 
     @property
-    def shifts(self) -> tuple[int, int]:
-        """Along the axial and the lateral axis."""
+    def count(self) -> tuple[int, int]:
+        """Shifts along the axial and the lateral axis."""
         return 2 * self.axial_radius + 1, 2 * self.lateral_radius + 1
 
 
@@ -54,7 +52,8 @@ class ImageCorrelationGeometry:
 def image_correlation(
     first: Float[Tensor, "batch 1 rows columns"],
     second: Float[Tensor, "batch 1 rows columns"],
-    geometry: ImageCorrelationGeometry,
+    block: int,
+    shifts: ShiftRange,
 ) -> Float[Tensor, "batch block_rows block_columns shift_rows shift_columns"]:
     """Return the correlation coefficient of blocks of two frames for every small shift.
 
@@ -66,13 +65,14 @@ def image_correlation(
     Args:
         first: Frames, whose blocks stay; sides are multiples of a block.
         second: The next frames, which move.
-        geometry: Sizes of block and shift.
+        block: Side of a block in pixels.
+        shifts: How far blocks move.
     """
     with full_precision(first.device):
-        block, (axial, lateral) = geometry.block, geometry.shifts
+        axial, lateral = shifts.count
         still = _blocks(first.float(), block)
         still = still - still.mean((1, 2), keepdim=True)
-        windows = _windows(second.float(), geometry)
+        windows = _windows(second.float(), block, shifts)
         spare = F.pad(still, (0, 0, 0, 1))
         dots = [
             sum_diagonals(torch.bmm(spare, windows[:, y : y + block]), 1)[:, :lateral]
@@ -91,10 +91,10 @@ def _blocks(frames: Tensor, block: int) -> Float[Tensor, "blocks columns rows"]:
 
 
 def _windows(
-    frames: Tensor, geometry: ImageCorrelationGeometry
+    frames: Tensor, block: int, shifts: ShiftRange
 ) -> Float[Tensor, "blocks window_rows window_columns"]:
     """Return each block with the neighborhood over which it may move."""
-    axial, lateral, block = geometry.axial_radius, geometry.lateral_radius, geometry.block
+    axial, lateral = shifts.axial_radius, shifts.lateral_radius
     padded = F.pad(frames[:, 0], (lateral, lateral, axial, axial))
     rows, columns = block + 2 * axial, block + 2 * lateral
     return padded.unfold(1, rows, block).unfold(2, columns, block).reshape(-1, rows, columns)

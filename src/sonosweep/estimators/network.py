@@ -95,6 +95,20 @@ def check_window(frames: Frames, window: int) -> None:
         raise ScanError(f"the network reads {window} frames at once, got {frames.shape[1]}")
 
 
+def check_frames(frames: Float[Tensor, "*batch channels rows columns"], shape: FrameShape) -> None:
+    """Check that a network gets the frames that it reads.
+
+    Raises:
+        ScanError: If they have other channels or pixels.
+    """
+    channels, rows, columns = frames.shape[-3:]
+    if (channels, rows, columns) != (shape.channels, shape.rows, shape.columns):
+        raise ScanError(
+            f"the network reads {shape.channels} channels of {shape.rows} x {shape.columns}"
+            f" pixels, got {channels} of {rows} x {columns}"
+        )
+
+
 class RecurrentNetwork(MotionNetwork):
     """A network whose answer about a step depends on it and on what came before.
 
@@ -127,6 +141,7 @@ class RecurrentNetwork(MotionNetwork):
 
     def forward(self, frames: Frames) -> NetworkOutput:
         """Return the motion of each step of windows of frames, values within 0 and 1."""
+        check_frames(frames, self.frame_shape)
         batch, count = frames.shape[:2]
         # Time first, so that the frames before and after every step are slices, not copies.
         features = self.encode(frames.transpose(0, 1).flatten(0, 1))
@@ -177,6 +192,7 @@ class Stepper:
 
         The first frame of a sweep has no step; ``None`` if it comes alone.
         """
+        check_frames(frames, self._network.frame_shape)
         if isinstance(self._network, RecurrentNetwork):
             return self._push_recurrent(self._network, frames)
         assert isinstance(self._network, WindowNetwork)
