@@ -116,7 +116,7 @@ def echoes_only():
     ("sweep", "words", "sentence"),
     [
         (made.sweep, ("--f-number", "0"), "f-number must be above 0, got 0"),
-        (made.sweep, ("--sound-speed", "-1"), "sound speed must be above 0 m/s, got -1"),
+        (made.sweep, ("--sound-speed", "-1"), "sound speed must be from 100 to 10000 m/s, got -1"),
         (made.sweep, ("--columns", "0"), "columns of an image must be above 0, got 0"),
         (made.sweep, ("--clutter-rank", "8"), "from 0 to 7 for 8 pulses, got 8"),
         (made.sweep, ("--clutter-rank", "1.5"), "a whole number is needed, got 1.5"),

@@ -58,6 +58,15 @@ def noise(rf: bool = False, transmits: int = 3, frames: int = 1) -> ChannelData:
     )
 
 
+def late_transmit(data: ChannelData, transmit: int) -> ChannelData:
+    """Return the data with the delays of one transmit in ms, taken for seconds."""
+    assert data.transmit_delays_s is not None
+    delays = data.transmit_delays_s.clone()
+    delays[transmit] *= 1e3
+    delays[transmit] += 1e-3
+    return dataclasses.replace(data, transmit_delays_s=delays)
+
+
 def brute_force(data: ChannelData, grid: PixelGrid, settings: BeamformSettings) -> NDArray:
     """Return the image of plane waves by the textbook, a pixel at a time in double precision."""
     assert data.transmit_delays_s is not None
@@ -421,7 +430,8 @@ def test_memory_is_told():
         ({"f_number": 0.0}, "f-number must be above 0, got 0"),
         ({"f_number": float("nan")}, "f-number must be above 0"),
         ({"f_number": None, "window": "hann"}, "hann window needs an f-number"),
-        ({"sound_speed_m_per_s": -1.0}, "sound speed must be above 0"),
+        ({"sound_speed_m_per_s": -1.0}, "sound speed must be from 100 to 10000 m/s, got -1"),
+        ({"sound_speed_m_per_s": 1.54}, "sound speed must be from 100 to 10000 m/s, got 1.54"),
         ({"bandwidth_hz": 40e6}, "mirror image"),
     ],
 )
@@ -462,6 +472,12 @@ def with_nan(data: ChannelData) -> ChannelData:
             ),
             "no pixel of the image",
         ),
+        (late_transmit(noise(), 1), r"no pixel of the image, .* recording of transmit 1 from"),
+        (
+            dataclasses.replace(noise(rf=True), sampling_frequency_hz=0.9 * FREQUENCY_HZ),
+            "less than one per period",
+        ),
+        (dataclasses.replace(noise(), sound_speed_m_per_s=1.54), "sound speed must be from 100"),
         (
             dataclasses.replace(
                 noise(), transmit_delays_s=torch.full((3, 48), torch.nan, dtype=torch.float64)

@@ -61,6 +61,24 @@ def test_in_the_middle_of_a_ring():
     assert grid.lateral_mm[-1] == pytest.approx(0.3 * 40.5, rel=0.01)
 
 
+def test_the_depth_within_a_ring_is_that_of_all_sides():
+    """The square around the middle is as large as asked for."""
+    ring = replace(ONE_WAY, probe=arc_probe(40.5, 1.5, made.ELEMENTS))
+
+    grid = field_of_view(ring, pixel_mm=0.1, depth_mm=15.0)
+
+    assert (grid.columns, grid.rows) == (300, 300)
+    assert grid.lateral_mm[-1] == pytest.approx(15.0, abs=0.1)
+
+
+def test_positions_in_meters_are_noticed():
+    """An array of 20 um is one whose unit is wrong, and the sentence says where to look."""
+    tiny = replace(LINEAR.probe, element_positions_mm=1e-3 * LINEAR.probe.element_positions_mm)
+
+    with pytest.raises(ScanError, match=r"mm wide and .* check the positions of the elements"):
+        field_of_view(replace(LINEAR, probe=tiny))
+
+
 def test_arrays_that_do_not_surround():
     """A line and a flat arc have their image in front."""
     assert surrounding_radius_mm(made.probe()) is None
@@ -87,7 +105,7 @@ def test_what_is_asked_for_holds(data):
         ({"columns": 0}, "columns of an image must be above 0, got 0"),
         ({"pixel_mm": float("nan")}, "pixel size of an image must be above 0, got nan"),
         ({"depth_mm": -3.0}, "depth of an image must be above 0, got -3"),
-        ({"depth_mm": 0.4}, "must end below that"),
+        ({"depth_mm": 0.4}, "must end below that, not at 0.4 mm"),
         ({"rows": 10, "depth_mm": 9.0, "pixel_mm": 0.1}, "only one of --rows and --depth-mm"),
         ({"pixel_mm": 1e-5}, "is too large"),
     ],

@@ -114,7 +114,7 @@ def test_corrections_that_cannot_be() -> None:
     with pytest.raises(ScanError, match="dynamic range"):
         PhotoacousticCorrection(range_db=0.0)
     amplitudes = scan_with(photoacoustic=stack())
-    with pytest.raises(ScanError, match="nothing would be left .* skin to reject is 900 mm"):
+    with pytest.raises(ScanError, match=r"nothing would be left .* skin to reject is 900 mm"):
         correct_photoacoustic(amplitudes, PhotoacousticCorrection(reject_skin_mm=900.0))
     with pytest.raises(ScanError, match=r"100 per mm would brighten .* by \d+ dB"):
         correct_photoacoustic(amplitudes, PhotoacousticCorrection(fading_per_mm=100.0))

@@ -47,6 +47,9 @@ def run_beamform(
     check_free(output, force)
     sweep = open_channel_data(data, wavelength_nm=options.wavelength_nm)
     _refuse_idle(sweep, options)
+    if options.sound_speed is not None:  # what the reader assumed is not what is used
+        notes = {about: note for about, note in sweep.notes.items() if about != "sound speed"}
+        sweep = replace(sweep, notes=notes)
     beside = poses_beside(output)
     if beside is not None and sweep.image_to_reference is not None:
         check_free(beside, force)

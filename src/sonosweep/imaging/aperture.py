@@ -79,9 +79,12 @@ def check_aperture(f_number: float | None, window: str, shape: ArrayShape | None
             raise ScanError(f"a {window} window needs an f-number: it is as wide as the aperture")
         return
     if not (np.isfinite(f_number) and f_number > 0):
-        raise ScanError(f"the f-number must be above 0, got {f_number:g}; None uses all elements")
+        raise ScanError(
+            f"the f-number must be above 0, got {f_number:g}; None, or --f-number all, uses all"
+            " elements"
+        )
     if shape is None:
         raise ScanError(
             "the elements lie neither on a line nor on a circle, so that an f-number has no"
-            " meaning: use None"
+            " meaning: use all elements (None, or --f-number all)"
         )

@@ -39,6 +39,8 @@ from sonosweep.scan import ChannelData
 
 Interpolation = Literal["auto", "linear", "cubic"]
 MEMORY_LIMIT_BYTES = 4 << 30
+SOUND_SPEEDS_M_PER_S = (100.0, 10_000.0)
+"""From rubber foam to beryllium; 1.54 is in mm per us."""
 MOST_PIXELS, MOST_ROWS = 1 << 24, 1 << 16
 """Beyond, a mistaken spacing is likelier than such an image, and memory would run out."""
 
@@ -72,11 +74,23 @@ class BeamformSettings:
         """Check the sound speed; the rest is checked with the probe at hand.
 
         Raises:
-            ScanError: If it is not positive.
+            ScanError: If nothing has such a speed.
         """
-        speed = self.sound_speed_m_per_s
-        if speed is not None and not (np.isfinite(speed) and speed > 0):
-            raise ScanError(f"the sound speed must be above 0 m/s, got {speed:g}")
+        if self.sound_speed_m_per_s is not None:
+            check_sound_speed(self.sound_speed_m_per_s)
+
+
+def check_sound_speed(speed_m_per_s: float) -> None:
+    """Check that sound may be so fast somewhere.
+
+    Raises:
+        ScanError: If not.
+    """
+    slowest, fastest = SOUND_SPEEDS_M_PER_S
+    if not slowest <= speed_m_per_s <= fastest:
+        raise ScanError(
+            f"the sound speed must be from {slowest:g} to {fastest:g} m/s, got {speed_m_per_s:g}"
+        )
 
 
 DEFAULT_SETTINGS = BeamformSettings()
@@ -191,6 +205,7 @@ def _geometry(
     check_aperture(settings.f_number, settings.window, shape)
     array = shape or _undirected(data, settings)
     speed = settings.sound_speed_m_per_s or data.sound_speed_m_per_s
+    check_sound_speed(speed)
     carrier_hz = _carrier_hz(data)
     wavelength_mm = speed / data.probe.center_frequency_hz * 1e3
     return Geometry(
@@ -264,7 +279,13 @@ def _carrier_hz(data: ChannelData) -> float:
             f"'{data.name}' holds real samples but a demodulation frequency of {carrier:g} Hz:"
             " RF samples have none"
         )
-    return float(data.probe.center_frequency_hz)
+    center = float(data.probe.center_frequency_hz)
+    if center > data.sampling_frequency_hz * (1 + 1e-9):
+        raise ScanError(
+            f"'{data.name}' holds {data.sampling_frequency_hz:g} RF samples per second, less than"
+            f" one per period of the {center:g} Hz of probe '{data.probe.name}': check both"
+        )
+    return center
 
 
 def grid_points(

@@ -118,11 +118,10 @@ def is_covered(transmit, first, last, offset, delays, samples):
     for e in range(first.shape[0]):
         for c in range(first.shape[1]):
             shift = offset[e, c] - first[e, c]
-            for t in range(transmit.shape[0]):
-                for r in range(first[e, c], last[e, c]):
-                    position = transmit[t, c, r] + delays[shift + r] - FRONT
-                    if 0 <= position <= samples - 1:
-                        return True
+            for r in range(first[e, c], last[e, c]):
+                position = transmit[c, r] + delays[shift + r] - FRONT
+                if 0 <= position <= samples - 1:
+                    return True
     return False
 
 

@@ -27,7 +27,7 @@ def field_of_view(
 
     In front of a linear or curved array the image is as wide as the array and as deep as it
     is wide, but not deeper than recorded. Within an array that surrounds the body by more
-    than half it is a square in the middle.
+    than half it is a square in the middle, as large as ``depth_mm`` says.
 
     Args:
         data: Probe, sampling and sound speed; the samples themselves are not read.
@@ -46,7 +46,7 @@ def field_of_view(
     lateral = data.probe.element_positions_mm[:, 0].numpy()
     width = float(np.ptp(lateral)) * len(lateral) / max(len(lateral) - 1, 1)
     if surrounding is not None:
-        width = RING_PART * surrounding
+        width = 2 * depth_mm if depth_mm else RING_PART * surrounding
     if width == 0:
         raise ScanError(
             f"the elements of probe '{data.probe.name}' lie at one place: say how wide the image"
@@ -55,9 +55,9 @@ def field_of_view(
     if surrounding is None:
         height = (depth_mm or min(width, recorded_depth_mm(data))) - FIRST_DEPTH_MM
     else:
-        height = 2 * depth_mm if depth_mm else width
+        height = width
     if height <= 0:
-        raise ScanError(f"the image begins {FIRST_DEPTH_MM:g} mm deep and must end below that")
+        raise ScanError(_no_depth(data, width, depth_mm))
     spacing = pixel_mm or width / (columns or COLUMNS)
     if rows is not None and depth_mm is not None:
         spacing = height / rows
@@ -66,6 +66,17 @@ def field_of_view(
         raise ScanError(f"an image of {across} x {down} pixels is too large: use larger pixels")
     first = FIRST_DEPTH_MM if surrounding is None else -spacing * (down - 1) / 2
     return centered_grid(max(across, 1), max(down, 1), (float(spacing), float(spacing)), first)
+
+
+def _no_depth(data: ChannelData, width_mm: float, depth_mm: float | None) -> str:
+    begin = f"the image begins {FIRST_DEPTH_MM:g} mm deep and must end below that"
+    if depth_mm is not None:
+        return f"{begin}, not at {depth_mm:g} mm"
+    return (
+        f"{begin}, but the array is {width_mm:.4g} mm wide and the recording"
+        f" {recorded_depth_mm(data):.4g} mm deep: check the positions of the elements, the sampling"
+        " frequency and the sound speed"
+    )
 
 
 def recorded_depth_mm(data: ChannelData) -> float:

@@ -210,10 +210,10 @@ class Beamformer:
         """Beamform one frame into ``image``."""
         padded = self._padded(samples)
 
-        def sum_block(number: int) -> bool:
+        def sum_block(number: int) -> list[bool]:
             table = self._table(number)
             image[..., self.geometry.blocks[number]] = self._sum(padded, table)
-            return not self._checked and _is_covered(table, self.geometry.samples)
+            return [] if self._checked else _covered(table, self.geometry.samples)
 
         numbers = range(len(self.geometry.blocks))
         if self._threads == 1:
@@ -221,8 +221,8 @@ class Beamformer:
         else:
             with ThreadPoolExecutor(self._threads) as pool:
                 covered = list(pool.map(sum_block, numbers))
-        if not (self._checked or any(covered)):
-            raise ScanError(_not_covered(self.geometry))
+        if not self._checked:
+            _check_covered(self.geometry, np.any(covered, axis=0))
         self._checked = True
 
     def baseband(
@@ -294,18 +294,23 @@ def needed_bytes(geometry: Geometry) -> int:
     return BYTES_PER_PAIR * (pairs + geometry.transmits * columns * rows)
 
 
-def _is_covered(table: DelayTable, samples: int) -> bool:
-    return kernels.is_covered(
-        table.transmit, table.first, table.last, table.offset, table.delays, samples
-    )
+def _covered(table: DelayTable, samples: int) -> list[bool]:
+    """Return for each transmit whether the echo of any pixel was recorded."""
+    return [
+        kernels.is_covered(each, table.first, table.last, table.offset, table.delays, samples)
+        for each in table.transmit
+    ]
 
 
-def _not_covered(geometry: Geometry) -> str:
-    start, stop = geometry.start_time_s.min(), geometry.start_time_s.max()
-    stop += (geometry.samples - 1) / geometry.rate_hz
+def _check_covered(geometry: Geometry, covered: np.ndarray) -> None:
+    if covered.all():
+        return
+    missed = int(np.argmin(covered))
+    start = geometry.start_time_s[missed]
+    stop = start + (geometry.samples - 1) / geometry.rate_hz
     low, high = geometry.points_mm[..., 1].min(), geometry.points_mm[..., 1].max()
-    return (
-        f"no pixel of the image, {low:g} to {high:g} mm deep, has its echo in the recording from"
-        f" {start * 1e6:.4g} to {stop * 1e6:.4g} us: check the start time, the transmit delays"
-        " and the f-number"
+    raise ScanError(
+        f"no pixel of the image, {low:g} to {high:g} mm deep, has its echo in the recording of"
+        f" transmit {missed} from {start * 1e6:.4g} to {stop * 1e6:.4g} us: check the start time,"
+        " the transmit delays and the f-number"
     )

@@ -79,6 +79,8 @@ def get_dataset(group: h5py.Group, name: str) -> h5py.Dataset:
     node = group.get(name)
     file = Path(group.file.filename).name
     if not isinstance(node, h5py.Dataset):
+        if name in list(group):
+            raise FormatError(f"'{name}' in '{file}' is damaged or no data set")
         known = ", ".join(list(group)[:12]) or "nothing"
         raise FormatError(f"'{file}' has no data set '{name}'; it holds {known}")
     if node.dtype.kind not in "buif" or node.shape is None:
