@@ -76,11 +76,10 @@ def prepare_scan_converter(sector: SectorGrid, grid: PixelGrid) -> ScanConverter
     Raises:
         ScanError: If the sector has fewer than two lines or samples.
     """
-    lateral, axial = np.meshgrid(grid.lateral_mm, grid.axial_mm + sector.radius_mm)
-    angle, reach = np.arctan2(lateral, axial), np.hypot(lateral, axial)
-    depth = reach - sector.radius_mm
+    lateral, axial = grid.lateral_mm, grid.axial_mm[:, np.newaxis] + sector.radius_mm
+    depth = np.hypot(lateral, axial) - sector.radius_mm
     sample = (depth - sector.first_depth_mm) / sector.sample_spacing_mm
-    line = angle / sector.line_spacing_rad + (sector.lines - 1) / 2
+    line = np.arctan2(lateral, axial) / sector.line_spacing_rad + (sector.lines - 1) / 2
     return _prepare(sample, line, (sector.samples, sector.lines))
 
 
@@ -127,20 +126,14 @@ def _prepare(
             f"scan conversion needs at least 2 x 2 samples, got {source_shape[0]} x"
             f" {source_shape[1]}"
         )
-    inside = np.ones(row.shape, bool)
+    inside, cell, shares = np.ones(row.shape, bool), np.zeros(row.shape, np.int32), []
     for place, count in zip((row, column), source_shape, strict=True):
         inside &= (place >= -EDGE) & (place <= count - 1 + EDGE)
-    first_row = np.clip(np.floor(row), 0, source_shape[0] - 2)
-    first_column = np.clip(np.floor(column), 0, source_shape[1] - 2)
-    cell = np.where(inside, first_row * source_shape[1] + first_column, OUTSIDE)
-    down, across = np.clip(row - first_row, 0, 1), np.clip(column - first_column, 0, 1)
-    return ScanConverter(
-        source_shape,
-        (row.shape[0], row.shape[1]),
-        cell.ravel().astype(np.int32),
-        down.ravel().astype(np.float32),
-        across.ravel().astype(np.float32),
-    )
+        first = np.clip(np.floor(place), 0, count - 2)
+        shares.append(np.clip(place - first, 0, 1).ravel().astype(np.float32))
+        cell = cell * count + first.astype(np.int32)  # row * columns + column
+    cell[~inside] = OUTSIDE
+    return ScanConverter(source_shape, (row.shape[0], row.shape[1]), cell.ravel(), *shares)
 
 
 @njit(cache=True, nogil=True)

@@ -41,7 +41,7 @@ Codes = UInt8[np.ndarray, "z y x"]
 def forearm(
     subject: int,
     *,
-    spacing_mm: float = 0.25,
+    spacing_mm: float = 0.3,
     width_mm: float = 90.0,
     depth_mm: float = 50.0,
     length_mm: float = ARM_LENGTH_MM,
