@@ -11,7 +11,7 @@ from PIL import Image
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from sonosweep.estimators.weights import FORMAT, KEY
+from sonosweep.estimators.weights import DIGEST, FORMAT, KEY
 from sonosweep.io import read_trajectory
 from tests.cli.test_bad_input import one_sentence
 from tests.estimators.tiny_weights import tiny_weights
@@ -127,6 +127,12 @@ def _flipped_length(path):
     path.write_bytes(bytes(content))
 
 
+def _flipped_number(path):
+    content = bytearray(path.read_bytes())
+    content[-100] ^= 0x01
+    path.write_bytes(bytes(content))
+
+
 def _pickle(path):
     path.write_bytes(pickle.dumps({"weights": [1, 2, 3]}))
 
@@ -142,6 +148,7 @@ def _rewritten(path, change_tensors=lambda tensors: None, change_facts=lambda fa
     facts = json.loads(metadata[KEY])
     change_tensors(tensors)
     change_facts(facts)
+    del metadata[DIGEST]  # what is wrong here was wrong from the start
     save_file(tensors, path, metadata | {KEY: json.dumps(facts)})
 
 
@@ -187,6 +194,7 @@ DAMAGE = {
     _empty: "damaged",
     _flipped_header: "damaged",
     _flipped_length: "damaged",
+    _flipped_number: "damaged: its numbers are not those",
     _pickle: "damaged, or no safetensors file",
     _torch_file: "damaged, or no safetensors file",
     _wrong_keys: "do not fit network 'cnn'",

@@ -16,6 +16,7 @@ SIDE = 64
 SCALE = (0.1, 0.05, 0.2, 0.01, 0.01, 0.01)
 SMALL: Mapping[str, Mapping[str, Any]] = {
     "cnn": {"width": 8, "hidden": 8},
+    "dcl": {"size": {"width": 4, "cardinality": 2}},
     "lstm": {"width": 4, "hidden": 8},
     "moglo": {"width": 8, "hidden": 8, "projection": 8},
 }
@@ -26,7 +27,7 @@ def tiny_info(name: str = "cnn", **changes: Any) -> WeightsInfo:
     facts = {
         "network": name,
         "preset": "compact",
-        "options": SMALL[name],
+        "options": SMALL.get(name, {}),
         "input": InputSettings(rows=SIDE, columns=SIDE),
         "spacing_mm": (SPACING_MM, SPACING_MM),
         "center_mm": ((SIDE - 1) / 2 * SPACING_MM,) * 2,

@@ -63,8 +63,9 @@ class LearnedEstimator(MotionEstimator):
         self._file = find_weights(os.fspath(weights))
         self.network, self.info = load_weights(self._file)
         self.network.eval().to(self._device)
-        # PyTorch's own types forget this form.
-        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        for layer in self.network.modules():
+            if isinstance(layer, torch.nn.Conv2d):  # others know no such order
+                layer.weight.data = layer.weight.data.contiguous(memory_format=torch.channels_last)
 
     @property
     def name(self) -> str:

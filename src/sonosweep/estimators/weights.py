@@ -1,5 +1,6 @@
 """Weights of a trained network as one safetensors file that says all about them."""
 
+import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -18,6 +19,7 @@ from sonosweep.io.atomic import write_beside
 
 FORMAT = "sonosweep weights 1"
 KEY = "sonosweep"
+DIGEST = "sha256"  # of the numbers: safetensors itself does not notice a flipped bit
 LARGEST_BYTES = 2**30
 
 Options = dict[str, JsonValue]
@@ -78,8 +80,9 @@ def save_weights(path: str | os.PathLike, network: MotionNetwork, info: WeightsI
     Raises:
         FormatError: If the file cannot be written.
     """
-    tensors = {name: value.detach().cpu().contiguous() for name, value in _state(network).items()}
-    metadata = {"format": FORMAT, KEY: info.model_dump_json()}
+    state = network.state_dict()
+    tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
+    metadata = {"format": FORMAT, KEY: info.model_dump_json(), DIGEST: _digest(tensors)}
     with write_beside(path) as temporary:
         save_file(tensors, temporary, metadata)
 
@@ -142,10 +145,16 @@ def _read(path: Path, only_info: bool = False) -> tuple[WeightsInfo, dict[str, t
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"what '{path}' says about its weights cannot be read") from error
+    if not only_info and DIGEST in metadata and metadata[DIGEST] != _digest(tensors):
+        raise FormatError(f"'{path}' is damaged: its numbers are not those that were written")
     if not all(bool(tensor.isfinite().all()) for tensor in tensors.values()):
         raise FormatError(f"weights in '{path}' are not finite")
     return info, tensors
 
 
-def _state(network: MotionNetwork) -> dict[str, torch.Tensor]:
-    return network.state_dict()
+def _digest(tensors: Mapping[str, torch.Tensor]) -> str:
+    found = hashlib.sha256()
+    for name in sorted(tensors):
+        found.update(name.encode())
+        found.update(tensors[name].reshape(-1).view(torch.uint8).numpy().data)
+    return found.hexdigest()
