@@ -5,7 +5,7 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
@@ -22,6 +22,7 @@ KEY = "sonosweep"
 DIGEST = "sha256"  # of the numbers: safetensors itself does not notice a flipped bit
 LARGEST_BYTES = 2**30
 
+Positive = Annotated[float, Field(gt=0)]
 Options = dict[str, JsonValue]
 Builder = Callable[[str, Mapping[str, Any], FrameShape, str], MotionNetwork]
 """Makes a network of a name, options, the frames that it reads, and a preset."""
@@ -56,10 +57,10 @@ class WeightsInfo(BaseModel):
     preset: str
     options: Options = {}
     input: InputSettings
-    spacing_mm: tuple[float, float]
+    spacing_mm: tuple[Positive, Positive]
     center_mm: tuple[float, float]
     window: int = Field(ge=2)
-    motion_scale: tuple[float, float, float, float, float, float]
+    motion_scale: tuple[Positive, Positive, Positive, Positive, Positive, Positive]
     mean_motion: tuple[float, float, float, float, float, float]
     parameters: int
     recipe: str

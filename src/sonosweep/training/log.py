@@ -29,18 +29,20 @@ class RunLog:
 
     def write(self, step: int, pairs: int, numbers: Row) -> None:
         """Add a row, and write table and page."""
-        self._rows.append({"step": step, "pairs": pairs, **numbers})
+        self._rows.append({"step": float(step), "pairs": float(pairs), **numbers})
         names = list(dict.fromkeys(name for row in self._rows for name in row))
         text = io.StringIO()
         table = csv.DictWriter(text, names, lineterminator="\n")
         table.writeheader()
-        table.writerows(
-            {k: f"{v:.6g}" if isinstance(v, float) else v for k, v in r.items()} for r in self._rows
-        )
+        table.writerows({name: _plain(value) for name, value in row.items()} for row in self._rows)
         page = training_page(self._recipe.network.name, self._rows, recipe_text(self._recipe))
         for name, content in ((LOG, text.getvalue()), (PAGE, page)):
             with write_beside(self._folder / name) as temporary:
                 temporary.write_text(content, encoding="utf-8")
+
+
+def _plain(value: float) -> str:
+    return str(int(value)) if value.is_integer() else f"{value:.6g}"
 
 
 def read_log(path: Path) -> list[Row]:

@@ -46,10 +46,7 @@ class MotionModule(lightning.LightningModule):
         Raises:
             TrainingError: If it is not a number.
         """
-        # Whatever is random in a step follows from its number: a run that goes on after a
-        # kill draws the same.
-        words = (self.recipe.seed, 2, self.global_step, self.global_rank)
-        torch.manual_seed(int(np.random.SeedSequence(words).generate_state(1)[0]))
+        self._seed_step()
         zeros = ZEROS[self.recipe.input.channels]
         frames = change_looks(unit_frames(batch.frames), batch.looks, zeros)
         loss, parts = total_loss(self.recipe.loss, self.network(frames), batch.motion)
@@ -102,6 +99,15 @@ class MotionModule(lightning.LightningModule):
             "optimizer": optimizer,
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},
         }
+
+    def _seed_step(self) -> None:
+        """Let whatever is random in a step follow from its number, before and after a kill."""
+        words = (self.recipe.seed, 2, self.global_step, self.global_rank)
+        seed = int(np.random.SeedSequence(words).generate_state(1)[0])
+        # Not torch.manual_seed: without a GPU that takes 1 ms.
+        torch.default_generator.manual_seed(seed)
+        if self.device.type == "cuda":
+            torch.cuda.manual_seed(seed)
 
     def _stop(self, what: str) -> None:
         step = self.global_step

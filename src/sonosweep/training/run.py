@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 from sonosweep.errors import FormatError, RecipeError, TrainingError
-from sonosweep.estimators.network import FrameShape, MotionNetwork
+from sonosweep.estimators.network import FrameShape, MotionNetwork, WindowNetwork
 from sonosweep.estimators.weights import Builder, WeightsInfo, save_weights
 from sonosweep.training.log import RunLog
 from sonosweep.training.module import MotionModule, learning_rate
@@ -132,6 +132,7 @@ def _begin(recipe: Recipe, folder: Path, resume: bool) -> Path | None:
     """Return the checkpoint to go on from, and leave the recipe in the folder."""
     text = recipe_text(recipe)
     path = folder / RECIPE
+    checkpoint = folder / CHECKPOINT
     if resume and path.exists():
         before = path.read_text(encoding="utf-8")
         if before != text:
@@ -142,12 +143,13 @@ def _begin(recipe: Recipe, folder: Path, resume: bool) -> Path | None:
                 f"the run in '{folder}' had another recipe, beginning with '{next(theirs, '')}':"
                 " go on with that one, or choose another folder"
             )
-        checkpoint = folder / CHECKPOINT
         return checkpoint if checkpoint.exists() else None
+    if int(os.environ.get("RANK", "0")) > 0:  # one process writes
+        return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-        (folder / CHECKPOINT).unlink(missing_ok=True)
+        checkpoint.unlink(missing_ok=True)
     except OSError as error:
         raise FormatError(f"cannot write to '{folder}': {error.strerror or error}") from error
     return None
@@ -159,7 +161,15 @@ def _network(recipe: Recipe, build: Builder | None) -> MotionNetwork:
 
         build = build_network
     shape = FrameShape(recipe.input.count, recipe.input.rows, recipe.input.columns)
-    return build(recipe.network.name, recipe.network.options, shape, recipe.network.preset)
+    chosen = recipe.network
+    network = build(chosen.name, chosen.options, shape, chosen.preset)
+    for number, stage in enumerate(recipe.stages):
+        if isinstance(network, WindowNetwork) and stage.window != network.window:
+            raise RecipeError(
+                f"network '{chosen.name}' reads {network.window} frames at once: the window of"
+                f" stage {number} must be that, not {stage.window}"
+            )
+    return network
 
 
 def _trainer(

@@ -1,10 +1,11 @@
 """How well a network reads whole scans, as it will when it is used."""
 
+import numpy as np
 import torch
-from jaxtyping import Float, Num
+from jaxtyping import Float
 from torch import Tensor
 
-from sonosweep.estimators.network import MotionNetwork, RecurrentNetwork, WindowNetwork
+from sonosweep.estimators.network import MotionNetwork, Stepper
 from sonosweep.estimators.network_input import image_steps, unit_frames
 from sonosweep.geometry import MOTION_NAMES, poses_from_steps, step_from_motion
 from sonosweep.metrics import evaluate_trajectory, frame_grid
@@ -20,7 +21,6 @@ REPORTED = {
 """Short names of the paper's numbers that are reported, with drift per length of the path."""
 
 
-@torch.no_grad()
 def predict_motion(
     network: MotionNetwork, scan: TrainingScan, device: torch.device
 ) -> Float[Tensor, "steps motion=6"]:
@@ -31,53 +31,14 @@ def predict_motion(
         scan: Of any length.
         device: Where the network is.
     """
-    if isinstance(network, RecurrentNetwork):
-        return _predict_recurrent(network, scan, device)
-    assert isinstance(network, WindowNetwork)
-    return _predict_windows(network, scan, device)
-
-
-def _predict_recurrent(
-    network: RecurrentNetwork, scan: TrainingScan, device: torch.device
-) -> Float[Tensor, "steps motion=6"]:
-    last: tuple[Tensor, ...] | None = None
-    state: tuple[Tensor, ...] | None = None
+    stepper = Stepper(network)
     motions = []
     for start in range(0, len(scan.frames), CHUNK):
-        features = network.encode(_frames(scan, start, start + CHUNK, device))
-        if last is not None:
-            features = tuple(torch.cat(both) for both in zip(last, features, strict=True))
-        last = tuple(part[-1:] for part in features)
-        if len(features[0]) < 2:
-            continue
-        pairs = network.compare(
-            tuple(part[:-1] for part in features), tuple(part[1:] for part in features)
-        )
-        output, state = network.regress(tuple(part[None] for part in pairs), state)
-        motions.append(output.motion[0].float().cpu())
+        stored = torch.from_numpy(np.asarray(scan.frames[start : start + CHUNK]))
+        output = stepper.push_many(unit_frames(stored.to(device)))
+        if output is not None:
+            motions.append(output.motion[0].detach().float().cpu())
     return torch.cat(motions)
-
-
-def _predict_windows(
-    network: WindowNetwork, scan: TrainingScan, device: torch.device
-) -> Float[Tensor, "steps motion=6"]:
-    """As the released code does, the first frame stands for those before the sweep."""
-    before = network.window - 1
-    frames = _frames(scan, 0, 1, device).expand(before, -1, -1, -1)
-    motions = []
-    for start in range(0, len(scan.frames), CHUNK):
-        frames = torch.cat((frames, _frames(scan, start, start + CHUNK, device)))
-        windows = frames.unfold(0, network.window, 1).movedim(-1, 1)
-        motions.append(network(windows).motion[:, -1].float().cpu())
-        frames = frames[-before:] if before else frames[:0]
-    return torch.cat(motions)[1:]
-
-
-def _frames(
-    scan: TrainingScan, start: int, stop: int, device: torch.device
-) -> Float[Tensor, "frames channels rows columns"]:
-    stored: Num[Tensor, "frames channels rows columns"] = torch.from_numpy(scan.frames[start:stop])
-    return unit_frames(stored.to(device))
 
 
 def scan_metrics(motion: Float[Tensor, "steps motion=6"], scan: TrainingScan) -> dict[str, float]:
