@@ -23,12 +23,16 @@ BLOCK = 1024
 def svd_filter(
     ensemble: Complex[np.ndarray, "pulses rows columns"],
     rank: Rank = "auto",
+    *,
+    overwrite: bool = False,
 ) -> Complex[np.ndarray, "pulses rows columns"]:
     """Return an ensemble without its strongest slow-time components.
 
     Args:
         ensemble: IQ of the pulses of one frame.
         rank: How many components are tissue; ``"auto"`` as :func:`clutter_rank` says.
+        overwrite: Whether to put the result where the ensemble is, if that is contiguous;
+            saves memory.
 
     Raises:
         ScanError: If there are fewer than two pulses, a sample is not a number, or the rank
@@ -43,7 +47,7 @@ def svd_filter(
     energies, vectors = slow_time_vectors(_gram_matrix(samples))
     count = clutter_rank(energies) if rank == "auto" else rank
     clutter = np.ascontiguousarray(vectors[:, :count])
-    filtered = np.empty_like(samples)
+    filtered = samples if overwrite else np.empty_like(samples)
     for first in range(0, samples.shape[1], BLOCK):
         block = samples[:, first : first + BLOCK].astype(np.complex128)
         filtered[:, first : first + BLOCK] = block - clutter @ (clutter.conj().T @ block)

@@ -108,8 +108,11 @@ def tissue_ensemble(
 def power_levels(
     ensemble: Complex64[np.ndarray, "pulses rows columns"], settings: DopplerSettings
 ) -> UInt8[np.ndarray, "rows columns"]:
-    """Return the power Doppler image of an ensemble: clutter filter, power, log compression."""
-    power = power_doppler(svd_filter(ensemble, settings.rank))
+    """Return the power Doppler image of an ensemble, which is overwritten.
+
+    Its clutter is filtered out, its power is averaged and compressed logarithmically.
+    """
+    power = power_doppler(svd_filter(ensemble, settings.rank, overwrite=True))
     white_db = settings.noise_db + settings.black_db + settings.dynamic_range_db
     return log_compress(np.sqrt(power), 10 ** (white_db / 20), settings.dynamic_range_db)
 
