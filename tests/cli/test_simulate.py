@@ -148,6 +148,17 @@ def test_what_makes_no_sense_is_refused_in_one_sentence(run, tmp_path, words, se
     assert list(tmp_path.iterdir()) == []
 
 
+def test_info_shortens_the_settings_of_a_simulation(run, tmp_path):
+    """A person sees what the frames are; a program gets every setting."""
+    assert run("simulate", "-o", "x.h5", *SMALL).code == 0
+
+    shown, whole = run("info", "x.h5"), run("info", "x.h5", "--json")
+
+    assert max(len(line) for line in shown.out.splitlines()) < 260
+    assert "0.35 s at 20.0 Hz" in shown.out
+    assert json.loads(json.loads(whole.out)["notes"]["simulation"])["simulated"] is True
+
+
 def test_existing_output_is_not_overwritten(run, tmp_path):
     """Unless asked."""
     (tmp_path / "mine.h5").write_text("mine")

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
 
     from sonosweep.scan import Scan
 
+LONGEST_NOTE = 200
+
 
 def info(
     scan: Path,
@@ -151,7 +153,8 @@ def _table(facts: dict[str, Any]) -> str:
     lines += [("subject", facts["subject"])] if facts["subject"] else []
     lines += [("companion", f"{name} {shape}") for name, shape in facts["companions"].items()]
     lines += [("transform", link) for link in facts["transforms"]]
-    lines += [(subject, note) for subject, note in facts["notes"].items() if subject != "poses"]
+    notes = {about: note for about, note in facts["notes"].items() if about != "poses"}
+    lines += [(about, _shortened(note)) for about, note in notes.items()]
     if "lag" in facts:
         lag = facts["lag"]
         lines.append(
@@ -170,6 +173,13 @@ def _aligned(lines: list[tuple[str, str]]) -> str:
     return "\n".join(f"{label:<{width}}  {text}" for label, text in lines)
 
 
+def _shortened(note: str) -> str:
+    """Return what a person reads of a note; the settings of a simulation fill a screen."""
+    if len(note) <= LONGEST_NOTE:
+        return note
+    return f"{note[:LONGEST_NOTE]} ... (all of it with --json)"
+
+
 def _or_missing(values: list[float] | None, form: str, option: str | None) -> str:
     if values is None:
         return "missing" if option is None else f"missing: give it with {option}"
@@ -180,7 +190,9 @@ def _times(facts: dict[str, Any]) -> str:
     if facts["duration_s"] is None:
         return "missing: give them with --frame-rate-hz"
     rate = facts.get("frame_rate_hz")
-    return f"{facts['duration_s']:.2f} s" + ("" if rate is None else f" at {rate:.1f} Hz")
+    duration_s = facts["duration_s"]
+    shown = f"{duration_s:.2f} s" if duration_s >= 1 or not duration_s else f"{duration_s:.3g} s"
+    return shown + ("" if rate is None else f" at {rate:.1f} Hz")
 
 
 def _poses(facts: dict[str, Any]) -> str:
