@@ -35,6 +35,7 @@ def box_matrix(length: int, box: int, device: torch.device) -> Float[Tensor, "pl
 
 def full_precision(device: torch.device) -> AbstractContextManager:
     """Return a context in which nothing is rounded to half precision."""
-    if not torch.is_autocast_enabled(device.type):
+    kind = device.type
+    if not torch.amp.is_autocast_available(kind) or not torch.is_autocast_enabled(kind):
         return nullcontext()
-    return torch.autocast(device.type, enabled=False)
+    return torch.autocast(kind, enabled=False)
