@@ -69,6 +69,21 @@ def test_resampling_worked_example():
     assert resized.calibration.spacing_mm == pytest.approx((0.2, 0.2))
 
 
+def test_enlarging_keeps_a_ramp_a_ramp():
+    """Pixels between pixels are between them, at the places that the calibration says."""
+    ramp = np.arange(0, 200, 10, dtype=np.float32)
+    frames = np.broadcast_to(ramp, (1, 12, 20)).copy()
+    scan = Scan("x", frames, Calibration(spacing_mm=(0.3, 0.3)))
+
+    large = resample_scan(scan, 32, 6)
+
+    column_mm = np.arange(32) * large.calibration.spacing_mm[0]
+    first_mm = (large.calibration.spacing_mm[0] - 0.3) / 2
+    expected = 10 / 0.3 * (column_mm + first_mm)
+    inside = slice(1, -1)  # beyond the outermost centres there is nothing to interpolate
+    assert large.frames[0][2, inside] == pytest.approx(expected[inside], abs=1e-3)
+
+
 def test_the_papers_crop_and_size():
     """480 x 640 frames become the central 320 x 320, then 256 x 256 at 1.25 times the pixel."""
     frames = np.zeros((1, 480, 640), np.uint8)

@@ -61,9 +61,10 @@ def crop_scan_center(scan: Scan, width: int = 320, height: int = 320) -> Scan:
 
 
 def resample_scan(scan: Scan, width: int = 256, height: int = 256) -> Scan:
-    """Return the scan with frames resized to ``width`` x ``height`` pixels (area mean).
+    """Return the scan with frames resized to ``width`` x ``height`` pixels.
 
-    The field of view stays; spacing, image origin and poses follow.
+    Smaller frames hold means over areas, larger ones are interpolated linearly. The field of
+    view stays; spacing, image origin and poses follow.
 
     Raises:
         ScanError: If a size is below 1 or above 8192 pixels.
@@ -90,7 +91,7 @@ def resample_scan(scan: Scan, width: int = 256, height: int = 256) -> Scan:
 
 
 class ResizedFrames(LazyFrames):
-    """Frames resized as they are read, each output pixel the mean of the area it covers."""
+    """Frames resized as they are read, as :func:`resize_frame` does."""
 
     def __init__(self, frames: Frames, width: int, height: int) -> None:
         super().__init__((len(frames), height, width, *frames.shape[3:]), frames.dtype)
@@ -102,12 +103,19 @@ class ResizedFrames(LazyFrames):
 
 
 def resize_frame(frame: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Return a frame of another size, each pixel the mean of the area it covers."""
+    """Return a frame of another size with the same outer edges.
+
+    Along an axis that gets fewer pixels, each is the mean of what it covers; along one that
+    gets more, they are interpolated linearly.
+    """
     if frame.ndim == 3:
         planes = [resize_frame(frame[..., c], width, height) for c in range(frame.shape[2])]
         return np.stack(planes, axis=-1)
     image = Image.fromarray(np.ascontiguousarray(frame, dtype=np.float32))
-    resized = np.asarray(image.resize((width, height), Image.Resampling.BOX))
+    for size in ((width, image.height), (width, height)):
+        fewer = size[0] <= image.width and size[1] <= image.height
+        image = image.resize(size, Image.Resampling.BOX if fewer else Image.Resampling.BILINEAR)
+    resized = np.asarray(image)
     if np.issubdtype(frame.dtype, np.integer):
         resized = np.rint(resized)
     return resized.astype(frame.dtype)
