@@ -1,6 +1,9 @@
-"""How far the sensorless estimate is from the tracker on two real sweeps, as a Markdown table.
+"""How far sensorless estimates are from the tracker on two real sweeps, as Markdown tables.
 
-    python benchmarks/real_sweeps.py FOLDER_OF_RECORDINGS
+    python benchmarks/real_sweeps.py FOLDER_OF_RECORDINGS [WEIGHTS ...]
+
+The first table is of methods without a network, the second of networks: those that come with
+the package, or those given. They were trained on simulated sweeps; nothing is tuned here.
 
 No number is fitted to these sweeps. Two rows use what a user would not have: the mean motion is
 the tracker's own, and the last row takes its curve from the tracked poses of the same sweep.
@@ -8,20 +11,25 @@ the tracker's own, and the last row takes its curve from the tracked poses of th
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 import sonosweep
 from sonosweep.cli.info import path_length_mm
+from sonosweep.errors import ScanError
 from sonosweep.estimators import DecorrelationEstimator, calibrate
+from sonosweep.estimators.shipped import shipped_weights
 from sonosweep.evaluate import compare_trajectories, markdown_table
+from sonosweep.evaluate.trained import trained_networks
 from sonosweep.geometry import (
     motion_from_step,
     poses_from_steps,
     step_from_motion,
     steps_from_poses,
 )
+from sonosweep.metrics import TrajectoryMetrics
 from sonosweep.scan import Scan, Trajectory, locate_image
 
 # The way each probe swept, as its operator would say it.
@@ -31,27 +39,42 @@ SWEEPS = {
 }
 
 
-def main(recordings: Path) -> None:
+def main(recordings: Path, weights: list[str]) -> None:
     """Print a row for each sweep and method."""
-    rows = []
+    plain, learned, refused = [], [], []
     for name, (path, config, direction) in SWEEPS.items():
         file = recordings / path
         scan = sonosweep.open_scan(file, plus_config=config and file.with_name(config))
         scan = locate_image(scan)
         for method, trajectory in methods(scan, direction):
-            found = compare_trajectories(trajectory, scan).metrics
-            rows.append(
-                {
-                    "sweep": f"{name}, {found.frames} frames, {found.path_length_mm:.0f} mm",
-                    "method": method,
-                    "rAE (mm)": found.relative_error_mm,
-                    "rAE (deg)": found.relative_error_deg,
-                    "aFE (mm)": found.accumulated_frame_error_mm,
-                    "FD (mm)": found.final_drift_mm,
-                    "FDR (% of path)": found.final_drift_rate_path_percent,
-                }
-            )
-    print(markdown_table(rows))
+            plain.append(row_of(name, method, compare_trajectories(trajectory, scan).metrics))
+        for network in trained_networks(weights, direction):
+            method = f"{network.method.name}, {network.method.run}"
+            blind = replace(scan, image_to_reference=None, tracked=None)
+            try:
+                trajectory = network.method.trajectory(blind)
+            except ScanError as error:
+                refused.append(f"- {name}, {method}: {error}")
+                continue
+            learned.append(row_of(name, method, compare_trajectories(trajectory, scan).metrics))
+    print(markdown_table(plain))
+    if learned:
+        print(markdown_table(learned))
+    if refused:
+        print("\n".join(("Not estimated:", "", *refused)))
+
+
+def row_of(sweep: str, method: str, found: TrajectoryMetrics) -> dict[str, str | float | None]:
+    """Return what is printed of one method on one sweep."""
+    return {
+        "sweep": f"{sweep}, {found.frames} frames, {found.path_length_mm:.0f} mm",
+        "method": method,
+        "rAE (mm)": found.relative_error_mm,
+        "rAE (deg)": found.relative_error_deg,
+        "aFE (mm)": found.accumulated_frame_error_mm,
+        "FD (mm)": found.final_drift_mm,
+        "FDR (% of path)": found.final_drift_rate_path_percent,
+    }
 
 
 def methods(scan: Scan, direction: int) -> Iterator[tuple[str, Trajectory]]:
@@ -74,4 +97,4 @@ def methods(scan: Scan, direction: int) -> Iterator[tuple[str, Trajectory]]:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2:] or sorted(shipped_weights()))

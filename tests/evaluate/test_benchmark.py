@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from sonosweep.errors import FormatError, ScanError
-from sonosweep.estimators import DecorrelationCurve
+from sonosweep.estimators import DecorrelationCurve, DecorrelationEstimator, MotionEstimate
+from sonosweep.estimators.network_input import center_mm, center_poses
 from sonosweep.evaluate import benchmark
 from sonosweep.evaluate.baselines import (
     decorrelation_baselines,
@@ -28,12 +29,18 @@ from sonosweep.evaluate.methods import (
     NoMotion,
     TrueMean,
 )
-from sonosweep.geometry import poses_from_steps, step_from_motion
+from sonosweep.geometry import (
+    motion_from_step,
+    poses_from_steps,
+    step_from_motion,
+    steps_from_poses,
+)
 from sonosweep.io import open_scan
 from sonosweep.io.hdf5 import write_scan
 from sonosweep.scan import Calibration, Scan, Trajectory
 from sonosweep.simulate import make_dataset
 
+from ..cli.conftest import speckle_scan
 from ..estimators.tiny_weights import SIDE, SPACING_MM, tiny_weights
 from ..simulate.tiny_dataset import tiny_recipe
 
@@ -278,3 +285,42 @@ def test_a_network_is_one_of_the_methods(tmp_path):
     assert forward == pytest.approx(backward)
     assert rows[0]["final_drift_mm"] != pytest.approx(rows[1]["final_drift_mm"])
     assert rows[0]["direction_agrees"] is not rows[1]["direction_agrees"]
+
+
+def test_what_training_scans_teach_the_decorrelation_estimator(tmp_path):
+    """On the scan it learned from its path is as long as the true one; nothing is learned twice."""
+    speckle = speckle_scan(frames=10)
+    write_scan(replace(speckle, subject="a"), tmp_path / "speckle.h5")
+
+    guess, stretched, curved = decorrelation_baselines([tmp_path / "speckle.h5"], tmp_path)
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    again = decorrelation_baselines([tmp_path / "speckle.h5"], tmp_path)
+
+    assert [guess, stretched, curved] == again
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == kept
+    assert guess.stretch == 1
+    assert curved.curve.source == "tracked"
+    blind = replace(speckle, image_to_reference=None)
+    moved = [elevation_mm(m.trajectory(blind), speckle) for m in (guess, stretched, curved)]
+    true = elevation_mm(speckle, speckle)
+    assert abs(moved[0] - true) > 0.1  # the guess is off, or there was nothing to learn
+    # Turns of single steps are stretched too, so the chain is not exactly linear.
+    assert moved[1:] == pytest.approx([true] * 2, rel=0.02)
+
+
+def elevation_mm(poses, scan):
+    """How far the centre of the frame goes out of its plane."""
+    centers = center_poses(poses.image_to_reference, center_mm(scan))
+    return float(steps_from_poses(centers)[:, 2, 3].sum())
+
+
+def test_a_stretched_estimate_turns_and_moves_farther_out_of_its_plane(monkeypatch):
+    """Twice as far along z and twice the pitch; nothing changes within the plane."""
+    motion = torch.tensor([[0.1, 0.2, 0.3, 0.01, 0.0, 0.02]], dtype=torch.float64)
+    found = MotionEstimate(motion)
+    monkeypatch.setattr(DecorrelationEstimator, "estimate", lambda *_: found)
+
+    trajectory = Decorrelation(stretch=2.0).trajectory(scan_of(1.0))
+
+    (step,) = motion_from_step(steps_from_poses(trajectory.image_to_reference))
+    assert step.tolist() == pytest.approx([0.1, 0.2, 0.6, 0.02, 0, 0.02])

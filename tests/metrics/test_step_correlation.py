@@ -6,7 +6,7 @@ from hypothesis import given
 
 from sonosweep.errors import ScanError
 from sonosweep.geometry import poses_from_steps, step_from_motion
-from sonosweep.metrics.step_correlation import step_correlation
+from sonosweep.metrics import step_correlation
 
 from ..strategies import poses, scans
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from sonosweep.cli.inputs import OUTPUT, Force, InputOptions, Json, read
+from sonosweep.cli.whole_number import WHOLE
 from sonosweep.errors import FormatError, ScanError
 
 if TYPE_CHECKING:
@@ -45,10 +46,10 @@ class BenchmarkOptions:
         tuple[str, ...], Parameter(negative="", consume_multiple=True, show_default=False)
     ] = ()
     baselines: Literal["all", "quick", "none"] | None = None
-    scans: int | None = None
+    scans: Annotated[int | None, WHOLE] = None
     against: str | None = None
     paper: Literal["dataset1", "ablation1", "ablation2", "dataset3"] | None = None
-    workers: int | None = None
+    workers: Annotated[int | None, WHOLE] = None
     cache: Path | None = None
     again: Annotated[bool, Parameter(negative="", show_default=False)] = False
     title: str | None = None

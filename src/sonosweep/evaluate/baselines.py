@@ -1,6 +1,8 @@
 """Methods without a network, fitted to the training scans of a data set where they are fitted."""
 
+import json
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +13,7 @@ from torch import Tensor
 
 from sonosweep.errors import ScanError
 from sonosweep.estimators import DecorrelationCurve, calibrate, read_curve, write_curve
+from sonosweep.estimators.network_input import center_mm, center_poses
 from sonosweep.evaluate.methods import (
     Decorrelation,
     MeanMotion,
@@ -20,12 +23,14 @@ from sonosweep.evaluate.methods import (
     file_digest,
     tracked_motion,
 )
-from sonosweep.geometry import MOTION_NAMES
+from sonosweep.geometry import MOTION_NAMES, steps_from_poses
 from sonosweep.io import open_scan
-from sonosweep.scan import Scan, locate_image
+from sonosweep.io.atomic import write_beside
+from sonosweep.scan import Scan, Trajectory, locate_image
 from sonosweep.simulate import refuse_test_subjects
 
 CALIBRATION_SCANS = 3
+SHORTEST_MM = 0.1  # of a movement that a scale is taken from
 ELEVATIONAL = MOTION_NAMES.index("elevational")
 
 
@@ -49,14 +54,15 @@ def decorrelation_baselines(
     folder: Path,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Method]:
-    """Return the decorrelation estimator, its scale guessed and its scale calibrated.
+    """Return the decorrelation estimator as it is, and with what training scans teach it.
 
-    The curve comes from the first scan of each of the first few training subjects; the
+    It is taught in two ways, on the first scan of each of the first few training subjects:
+    by how much its guess of the elevational scale is off, and with a whole curve. The
     direction, which speckle cannot tell, is that of the training scans.
 
     Args:
         training: Files of tracked scans, none of a test subject.
-        folder: Where curves are kept, so that each is measured once.
+        folder: Where what was learned is kept, so that it is learned once.
         progress: Called with the scans done and in all.
 
     Raises:
@@ -65,15 +71,18 @@ def decorrelation_baselines(
     """
     direction = -1 if float(mean_motion(training)[ELEVATIONAL]) < 0 else 1
     chosen = list(_one_of_each_subject(training).values())[:CALIBRATION_SCANS]
-    curves = []
+    lessons = []
     for done, path in enumerate(chosen):
-        curves.append(_curve(path, folder))
+        lessons.append((_stretch(path, folder), _curve(path, folder)))
         if progress is not None:
             progress(done + 1, len(chosen))
-    name = f"decorrelation, calibrated on {len(chosen)} training scans"
+    stretch = float(np.exp(np.mean([np.log(factor) for factor, _ in lessons])))
+    curve = mean_curve([curve for _, curve in lessons])
+    of = f"of {len(chosen)} training scans"
     return [
         Decorrelation(direction=direction),
-        Decorrelation(name, mean_curve(curves), direction),
+        Decorrelation(f"decorrelation, scale {of}", None, direction, stretch),
+        Decorrelation(f"decorrelation, curve {of}", curve, direction),
     ]
 
 
@@ -120,6 +129,29 @@ def _curve(path: Path, folder: Path) -> DecorrelationCurve:
     if not kept.is_file():
         write_curve(calibrate(locate_image(open_scan(path))), kept)
     return read_curve(kept)
+
+
+def _stretch(path: Path, folder: Path) -> float:
+    """Return how much farther a scan truly went than guessed, measured if not there yet."""
+    kept = folder / f"stretch_{version('sonosweep')}_{file_digest(path)[:16]}.json"
+    with suppress(OSError, ValueError, TypeError, KeyError):
+        return float(json.loads(kept.read_text(encoding="utf-8"))["stretch"])
+    scan = locate_image(open_scan(path))
+    guess = Decorrelation().trajectory(replace(scan, image_to_reference=None, tracked=None))
+    true_mm, guessed_mm = abs(_elevation_mm(scan, scan)), abs(_elevation_mm(guess, scan))
+    if min(true_mm, guessed_mm) < SHORTEST_MM:
+        raise ScanError(f"'{scan.name}' teaches no scale: its probe did not move out of its plane")
+    with write_beside(kept) as temporary:
+        content = json.dumps({"stretch": true_mm / guessed_mm})
+        temporary.write_text(content + "\n", encoding="utf-8")
+    return true_mm / guessed_mm
+
+
+def _elevation_mm(poses: Scan | Trajectory, scan: Scan) -> float:
+    """Return how far the centre of the frame went out of its plane, over all steps."""
+    assert poses.image_to_reference is not None
+    steps = steps_from_poses(center_poses(poses.image_to_reference.double(), center_mm(scan)))
+    return float(steps[:, ELEVATIONAL, 3].nansum())
 
 
 def _comparable(curve: DecorrelationCurve, other: DecorrelationCurve) -> bool:

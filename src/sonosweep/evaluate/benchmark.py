@@ -17,15 +17,16 @@ from torch import Tensor
 
 from sonosweep.errors import FormatError, ScanError
 from sonosweep.estimators.estimator import Progress
+from sonosweep.estimators.network_input import center_mm
 from sonosweep.evaluate.compare import TrajectoryComparison, compare_trajectories
 from sonosweep.evaluate.methods import Method, file_digest
 from sonosweep.evaluate.summary import comparison_row
 from sonosweep.evaluate.tables import Cell
-from sonosweep.geometry import motion_from_step, steps_from_poses, transform_points
+from sonosweep.geometry import motion_from_step, steps_from_poses
 from sonosweep.io import open_scan
 from sonosweep.io.atomic import write_beside
-from sonosweep.metrics.step_correlation import step_correlation
-from sonosweep.scan import Scan, Trajectory, locate_image, pixel_to_image
+from sonosweep.metrics import step_correlation
+from sonosweep.scan import Scan, Trajectory, locate_image
 from sonosweep.simulate.worker_pool import Report, run_jobs
 
 Row = dict[str, Cell]
@@ -174,7 +175,12 @@ def _row(
 ) -> Row:
     true = scan.image_to_reference
     assert true is not None
-    steps = step_correlation(trajectory.image_to_reference, true, _center_mm(scan), scan.tracked)
+    steps = step_correlation(
+        trajectory.image_to_reference,
+        true,
+        torch.tensor((*center_mm(scan), 0.0), dtype=torch.float64),
+        scan.tracked,
+    )
     return {
         "scan": scan.name,
         "subject": scan.subject,
@@ -184,14 +190,6 @@ def _row(
         "program": f"sonosweep {version('sonosweep')}",
         "date": datetime.now(UTC).date().isoformat(),
     }
-
-
-def _center_mm(scan: Scan) -> Tensor:
-    """Return the centre of the frame in image coordinates."""
-    assert scan.calibration is not None
-    rows, columns = scan.frames.shape[1:3]
-    middle = torch.tensor([[(columns - 1) / 2, (rows - 1) / 2, 0]], dtype=torch.float64)
-    return transform_points(pixel_to_image(scan.calibration), middle)[0]
 
 
 def _write(path: Path, row: Row, motion: Tensor) -> None:

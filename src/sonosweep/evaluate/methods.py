@@ -24,6 +24,7 @@ from sonosweep.geometry import (
     steps_from_poses,
 )
 from sonosweep.reconstruct import estimate_trajectory
+from sonosweep.reconstruct.estimate import MIRRORED as OUT_OF_PLANE
 from sonosweep.scan import Scan, Trajectory
 
 Kind = Literal["plain", "oracle", "network"]
@@ -116,17 +117,26 @@ class Decorrelation(Method):
         name: Row of the table.
         curve: ``None`` guesses the elevational scale from the size of the speckle.
         direction: 1 if the probe sweeps towards +z, -1 if the other way.
+        stretch: By which what was seen out of the plane, shifts and turns, is multiplied: a
+            scale that was measured on other scans.
     """
 
     name: str = "decorrelation, scale guessed"
     curve: DecorrelationCurve | None = None
     direction: int = 1
+    stretch: float = 1.0
 
     def trajectory(self, scan: Scan, progress: Progress | None = None) -> Trajectory:
         """Return what the speckle says."""
-        return estimate_trajectory(
+        found = estimate_trajectory(
             scan, DecorrelationEstimator(self.curve), self.direction, progress
         )
+        if self.stretch == 1:
+            return found
+        motion = motion_from_step(steps_from_poses(found.image_to_reference))
+        motion[:, OUT_OF_PLANE] *= self.stretch
+        poses = poses_from_steps(step_from_motion(motion), found.image_to_reference[0])
+        return Trajectory(poses, timestamps_s=scan.timestamps_s, assumptions=found.assumptions)
 
 
 @dataclass(frozen=True)

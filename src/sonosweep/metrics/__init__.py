@@ -10,6 +10,7 @@ from sonosweep.metrics.image import (
     point_resolution,
     speckle_snr,
 )
+from sonosweep.metrics.step_correlation import step_correlation
 from sonosweep.metrics.trajectory import (
     PAPER_EULER_ORDER,
     TrajectoryMetrics,
@@ -47,6 +48,7 @@ __all__ = [
     "pixel_quadrature",
     "point_resolution",
     "speckle_snr",
+    "step_correlation",
     "tusrec_errors",
     "tusrec_score",
 ]
