@@ -183,6 +183,24 @@ def test_weights_that_differ_in_the_seed_share_a_row(tmp_path):
     assert "| seed 0, seed 1 |" in page
 
 
+def test_networks_are_named_by_the_fields_in_which_they_differ(tmp_path):
+    """Whether in a table or in a list of tables, and by no other field."""
+    files = []
+    for k, (pairs, attention) in enumerate(((10, "true"), (20, "false"))):
+        (tmp_path / str(k)).mkdir()
+        recipe = f"""
+        stages = [{{ pairs = {pairs}, window = 2 }}]
+        checkpoint_minutes = {k}
+        [network]
+        name = "cnn"
+        options = {{ attention = {attention} }}"""
+        files.append(str(tiny_weights(tmp_path / str(k), recipe=recipe)))
+
+    names = [network.method.name for network in trained_networks(files)]
+
+    assert names == ["cnn, pairs 10, attention True", "cnn, pairs 20, attention False"]
+
+
 def test_weights_given_twice_or_not_there_are_refused(tmp_path):
     """One sentence each."""
     file = str(tiny_weights(tmp_path))

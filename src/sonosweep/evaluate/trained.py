@@ -84,11 +84,14 @@ def _differing(recipe: dict[str, str], rivals: list[dict[str, str]]) -> list[str
 
 
 def _flat(fields: dict[str, Any], before: str = "") -> dict[str, str]:
-    """Return the fields of tables in tables by their dotted names."""
+    """Return the fields of tables in tables, and in lists of them, by their dotted names."""
     found: dict[str, str] = {}
     for key, value in fields.items():
         if isinstance(value, dict):
             found |= _flat(value, f"{before}{key}.")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for place, part in enumerate(value):
+                found |= _flat(part, f"{before}{key}[{place}].")
         else:
             found[before + key] = str(value)
     return found
