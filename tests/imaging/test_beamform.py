@@ -58,12 +58,11 @@ def noise(rf: bool = False, transmits: int = 3, frames: int = 1) -> ChannelData:
     )
 
 
-def late_transmit(data: ChannelData, transmit: int) -> ChannelData:
-    """Return the data with the delays of one transmit in ms, taken for seconds."""
+def delayed(data: ChannelData, transmit: int, later_s: float, times: float = 1.0) -> ChannelData:
+    """Return the data with the delays of one transmit multiplied and later."""
     assert data.transmit_delays_s is not None
     delays = data.transmit_delays_s.clone()
-    delays[transmit] *= 1e3
-    delays[transmit] += 1e-3
+    delays[transmit] = times * delays[transmit] + later_s
     return dataclasses.replace(data, transmit_delays_s=delays)
 
 
@@ -472,10 +471,14 @@ def with_nan(data: ChannelData) -> ChannelData:
             ),
             "no pixel of the image",
         ),
-        (late_transmit(noise(), 1), r"no pixel of the image, .* recording of transmit 1 from"),
+        (delayed(noise(), 1, 1e-3), r"no pixel of the image, .* recording of transmit 1 from"),
         (
             dataclasses.replace(noise(rf=True), sampling_frequency_hz=0.9 * FREQUENCY_HZ),
             "less than one per period",
+        ),
+        (
+            delayed(noise(), 2, 0.0, 1e6),
+            r"the delays of transmit 2 differ by .* us across the array: delays must be in seconds",
         ),
         (dataclasses.replace(noise(), sound_speed_m_per_s=1.54), "sound speed must be from 100"),
         (

@@ -20,6 +20,9 @@ from sonosweep.imaging.aperture import ArrayShape
 PLANE_TOLERANCE_MM = 1e-4
 """Delays, as lengths, that are so close to a plane wave's are those of one: far less than
 the path difference that a phase shows, and more than float32 delays are off."""
+LATEST = 4.0
+"""Between two elements that fire, in times that sound takes between them. Waves need up to 1,
+more if the sound speed is not the one the delays were made for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +63,10 @@ def transmitted_waves(
         shape: Of the array; a straight one can send plane waves.
 
     Raises:
-        ScanError: If no element fires in a transmit, or a delay is infinite.
+        ScanError: If no element fires in a transmit, or the delays of one are infinite or far
+            longer than sound takes across the array.
     """
-    _check_delays(delays_s)
+    _check_delays(elements_mm, delays_s, sound_speed_m_per_s)
     delays = delays_s.astype(np.float64)
     speed = sound_speed_m_per_s * 1e3
     found = [_plane_wave(elements_mm, each, speed, shape) for each in delays]
@@ -104,12 +108,24 @@ def arrival_times(
     return times
 
 
-def _check_delays(delays_s: Float[np.ndarray, "transmits elements"]) -> None:
+def _check_delays(
+    elements_mm: Float[np.ndarray, "elements xyz=3"],
+    delays_s: Float[np.ndarray, "transmits elements"],
+    sound_speed_m_per_s: float,
+) -> None:
     if np.isinf(delays_s).any():
         raise ScanError("transmit delays must be seconds, or NaN for silent elements; got infinity")
     silent = np.isnan(delays_s).all(1)
     if silent.any():
         raise ScanError(f"no element fires in transmit {int(silent.argmax())}: all delays are NaN")
+    differ_s = np.nanmax(delays_s, axis=1) - np.nanmin(delays_s, axis=1)
+    across_s = float(np.linalg.norm(np.ptp(elements_mm, axis=0))) / (sound_speed_m_per_s * 1e3)
+    worst = int(differ_s.argmax())
+    if differ_s[worst] > LATEST * across_s:
+        raise ScanError(
+            f"the delays of transmit {worst} differ by {differ_s[worst] * 1e6:.4g} us, but sound"
+            f" takes {across_s * 1e6:.4g} us across the array: delays must be in seconds"
+        )
 
 
 def _plane_wave(

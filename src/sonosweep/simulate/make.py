@@ -207,7 +207,8 @@ def _prepare(folder: Path, facts: dict[str, Any]) -> None:
             raise FormatError(
                 f"'{folder}' holds another data set ({found.get('recipe')},"
                 f" {found.get('size')}, seed {found.get('seed')}, {found.get('written_by')}, in"
-                f" layout {found.get('layout')}): choose another folder"
+                f" layout {found.get('layout')}), or this one as begun before the program changed:"
+                " choose another folder"
             )
         _remove_abandoned(folder)
     elif folder.is_dir() and any(folder.iterdir()):
