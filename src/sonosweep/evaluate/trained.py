@@ -89,7 +89,7 @@ def _flat(fields: dict[str, Any], before: str = "") -> dict[str, str]:
     for key, value in fields.items():
         if isinstance(value, dict):
             found |= _flat(value, f"{before}{key}.")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
+        elif isinstance(value, list) and value and all(isinstance(part, dict) for part in value):
             for place, part in enumerate(value):
                 found |= _flat(part, f"{before}{key}[{place}].")
         else:
