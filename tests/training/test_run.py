@@ -96,7 +96,7 @@ def test_a_run_leaves_a_log_a_page_and_its_recipe(files, finished):
 
 def test_a_run_learns(tmp_path):
     """Where brightness tells how far the probe went, that is read off unseen scans."""
-    stages = [{"pairs": 2400, "window": 2, "batch": 16, "learning_rate": 2e-2}]
+    stages = [{"pairs": 1600, "window": 2, "batch": 16, "learning_rate": 3e-2}]
     plain = {"gain": 0.0, "contrast": 0.0, "gamma": 0.0, "noise": 0.0}
     recipe = tiny_recipe(
         telling_files(tmp_path),

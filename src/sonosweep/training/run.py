@@ -175,6 +175,9 @@ def _network(recipe: Recipe, build: Builder | None) -> MotionNetwork:
 def _trainer(
     recipe: Recipe, callback: lightning.Callback, device: str, folder: Path
 ) -> lightning.Trainer:
+    gpu = device == "auto" and torch.cuda.is_available()
+    if device == "cuda" and not torch.cuda.is_available():
+        raise TrainingError("there is no GPU that PyTorch can use: leave out --device cuda")
     processes = int(os.environ.get("WORLD_SIZE", "1"))
     local = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
     logger: Any = False
@@ -183,7 +186,7 @@ def _trainer(
 
         logger = TensorBoardLogger(folder, name="tensorboard", version="")
     return lightning.Trainer(
-        accelerator={"cuda": "gpu"}.get(device, device),
+        accelerator="gpu" if device == "cuda" or gpu else "cpu",
         devices=local,
         num_nodes=processes // local,
         strategy="ddp" if processes > 1 else "auto",
