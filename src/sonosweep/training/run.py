@@ -7,9 +7,8 @@ A run's folder holds ``recipe.toml`` (every field), ``checkpoint.ckpt`` (to go o
 import logging
 import os
 import signal
-import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -19,14 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as lightning
-import numpy as np
 import torch
 
 from sonosweep.errors import FormatError, RecipeError, TrainingError
 from sonosweep.estimators.network import FrameShape, MotionNetwork, WindowNetwork
 from sonosweep.estimators.weights import Builder, WeightsInfo, save_weights
-from sonosweep.training.log import RunLog
-from sonosweep.training.module import MotionModule, learning_rate
+from sonosweep.training.module import MotionModule
 from sonosweep.training.recipe import Recipe, recipe_text
 from sonosweep.training.scans import TrainingScan, data_digest, open_data
 from sonosweep.training.sequences import (
@@ -36,17 +33,15 @@ from sonosweep.training.sequences import (
     pairs_done,
 )
 from sonosweep.training.validate import scan_metrics
+from sonosweep.training.watch import CHECKPOINT, Progress, RunWatch, mean_metrics
 
-RECIPE, CHECKPOINT, WEIGHTS = "recipe.toml", "checkpoint.ckpt", "weights.safetensors"
+RECIPE, WEIGHTS = "recipe.toml", "weights.safetensors"
 ADVICE = (
     ".*does not have many workers.*",  # frames are in memory, or made by a thread
     ".*GPU available but not used.*",
     r".*isinstance\(treespec, LeafSpec\).*",
 )
 """Warnings of Lightning's that say nothing to whoever trains."""
-LOGGED_STEPS = 200  # lines in the log of a run, about
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +99,9 @@ def train(
     statistics = motion_statistics(pool, recipe.scale)
     torch.manual_seed(recipe.seed)
     module = MotionModule(_network(recipe, build), recipe, statistics)
-    callback = _Run(place, recipe, validation, progress)
+    watch = RunWatch(place, recipe, validation, progress)
     with _memory_is_short(recipe), _quiet():
-        trainer = _trainer(recipe, callback, device, place)
+        trainer = _trainer(recipe, watch, device, place)
         batches = TrainingBatches(
             pool,
             recipe.stages,
@@ -119,7 +114,7 @@ def train(
         )
         _fit(trainer, module, batches, checkpoint)
     # A finished run that is gone on with takes no step in which to measure.
-    found = callback.metrics or mean_metrics(module.validate_scans(validation))
+    found = watch.metrics or mean_metrics(module.validate_scans(validation))
     metrics = {**found, "rae_of_mean": _mean_motion_rae(statistics, validation)}
     info = _info(recipe, module, statistics, validation[0], data_digest(pool, validation), metrics)
     if trainer.is_global_zero:
@@ -218,105 +213,6 @@ def _fit(
     except SystemExit as left:  # which is how Lightning passes Ctrl-C on
         signal.signal(signal.SIGINT, interrupt)
         raise KeyboardInterrupt from left
-
-
-class _Run(lightning.Callback):
-    """What is done between the steps: progress, log, validation, checkpoints."""
-
-    def __init__(
-        self,
-        folder: Path,
-        recipe: Recipe,
-        validation: Sequence[TrainingScan],
-        progress: Progress | None,
-    ) -> None:
-        self._folder, self._recipe, self._validation = folder, recipe, validation
-        self._progress = progress
-        self._log_every = max(1, recipe.steps // LOGGED_STEPS)
-        self._validate_every = max(1, recipe.steps // recipe.validations)
-        self._saved_s = time.monotonic()
-        self._sums: dict[str, float] = {}
-        self._count = 0
-        self.metrics: dict[str, float] = {}
-
-    def on_train_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        """Begin the log, or go on with it."""
-        if trainer.is_global_zero:
-            self._log = RunLog(self._folder, self._recipe, trainer.global_step)
-        self._saved_s = time.monotonic()
-
-    def on_train_batch_end(
-        self,
-        trainer: lightning.Trainer,
-        module: lightning.LightningModule,
-        outputs: Any,  # Any: whatever training_step gave
-        batch: Any,
-        batch_idx: int,
-    ) -> None:
-        """Do what is due after a step."""
-        assert isinstance(module, MotionModule)
-        step = trainer.global_step
-        for name, value in module.latest.items():
-            self._sums[name] = self._sums.get(name, 0.0) + value
-        self._count += 1
-        last = step >= self._recipe.steps
-        validates = step % self._validate_every == 0 or last
-        if step % self._log_every == 0 or validates:
-            self._report(trainer, module, step, validates)
-        if self._is_checkpoint_due(trainer) or validates:
-            save_checkpoint(trainer, self._folder / CHECKPOINT)
-            self._saved_s = time.monotonic()
-
-    def _report(
-        self, trainer: lightning.Trainer, module: MotionModule, step: int, validates: bool
-    ) -> None:
-        row = {name: total / self._count for name, total in self._sums.items()}
-        row["learning_rate"] = learning_rate(self._recipe.stages, step - 1)
-        self._sums, self._count = {}, 0
-        if validates:
-            self.metrics = mean_metrics(
-                gathered(
-                    module.validate_scans(
-                        self._validation[trainer.global_rank :: trainer.world_size]
-                    ),
-                    trainer,
-                )
-            )
-            row |= self.metrics
-        if not trainer.is_global_zero:
-            return
-        pairs = pairs_done(self._recipe.stages, step)
-        self._log.write(step, pairs, row)
-        if trainer.logger is not None:
-            trainer.logger.log_metrics(row, step)
-        if self._progress is not None:
-            self._progress(pairs, pairs_done(self._recipe.stages, self._recipe.steps))
-
-    def _is_checkpoint_due(self, trainer: lightning.Trainer) -> bool:
-        due = time.monotonic() - self._saved_s > 60 * self._recipe.checkpoint_minutes
-        return bool(trainer.strategy.broadcast(due)) if trainer.world_size > 1 else due
-
-
-def save_checkpoint(trainer: lightning.Trainer, path: Path) -> None:
-    """Write a checkpoint that is whole or not there; called by all processes."""
-    temporary = path.with_name(f".writing-{path.name}")
-    trainer.save_checkpoint(temporary)
-    if trainer.is_global_zero:
-        temporary.replace(path)
-
-
-def gathered(found: list[dict[str, float]], trainer: lightning.Trainer) -> list[dict[str, float]]:
-    """Return what all processes found together."""
-    if trainer.world_size == 1:
-        return found
-    everyone: list[list[dict[str, float]]] = [[] for _ in range(trainer.world_size)]
-    torch.distributed.all_gather_object(everyone, found)
-    return [one for theirs in everyone for one in theirs]
-
-
-def mean_metrics(found: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Return the mean over scans of each number."""
-    return {name: float(np.mean([one[name] for one in found])) for name in found[0]}
 
 
 def _mean_motion_rae(statistics: MotionStatistics, validation: Sequence[TrainingScan]) -> float:
