@@ -3,7 +3,7 @@
 import runpy
 from pathlib import Path
 
-from sonosweep.simulate import uniform_phantom
+from sonosweep.simulate import uniform_phantom, vessel_phantom
 from tests.estimators.tiny_weights import tiny_weights
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -59,3 +59,16 @@ def test_attention_maps(tmp_path):
     )
 
     assert (tmp_path / "maps.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_simulated_vessels(tmp_path):
+    """The pictures of the pages on simulation and imaging can be made again."""
+    body = vessel_phantom(size_mm=(80.0, 48.0, 60.0))
+
+    example("simulated_vessels.py")(tmp_path, body, length_mm=2.0, frames=8)
+
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "modalities.png",
+        "vessels_photoacoustic.png",
+        "vessels_power_doppler.png",
+    }

@@ -36,7 +36,7 @@ def block(
 def arm(spacing_mm: float = 0.25, muscle_db: float = -8.0) -> Body:
     """Return muscle under skin, with an artery and a vein along z."""
     body = block(REFERENCE_CODE + round(muscle_db * 4), spacing_mm=spacing_mm)
-    tissue, echo = body.tissue, body.echogenicity
+    tissue, echo = np.asarray(body.tissue), np.asarray(body.echogenicity)
     z, y, x = (
         origin + spacing_mm * np.arange(count)
         for origin, count in zip(body.origin_mm[::-1], tissue.shape, strict=True)

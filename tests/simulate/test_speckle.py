@@ -254,7 +254,9 @@ def test_power_is_one_for_every_beam() -> None:
 def test_echoes_are_the_sum_over_all_scatterers() -> None:
     """Every frame equals the sum of the scatterers' point spread functions, done directly."""
     body = block((12.0, 26.0, 12.0), 0.5)
-    body.echogenicity[:] = np.random.default_rng(3).integers(120, 220, body.echogenicity.shape)
+    np.asarray(body.echogenicity)[:] = np.random.default_rng(3).integers(
+        120, 220, body.echogenicity.shape
+    )
     grid = centered_grid(20, 24, (0.1484, 0.1484), 11.0)
     where = pose(0.2, 0.3, 0.4, (5, -6, 7))
     rendered = SpeckleRenderer(body, BEAM, grid, seed=5).iq(where)
@@ -299,7 +301,7 @@ def direct_sum(body, grid: PixelGrid, where: np.ndarray, seed: int) -> np.ndarra
 def test_what_no_pixel_can_hear_is_silent() -> None:
     """Outside the voxels, in code 0 and above the array's face there is no echo."""
     body = block((12.0, 10.0, 8.0))
-    body.echogenicity[:, :, 12:] = 0
+    np.asarray(body.echogenicity)[:, :, 12:] = 0
     grid = centered_grid(120, 90, (0.1484, 0.1484), -2.0)
     frame = np.abs(SpeckleRenderer(body, BEAM, grid, seed=2).iq(pose(y=-1.0)))
     x, depth = grid.lateral_mm, grid.axial_mm

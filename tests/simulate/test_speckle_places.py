@@ -113,11 +113,11 @@ def test_points_must_be_finite_numbers() -> None:
 def wire_body(at_mm: tuple[float, float], spacing_mm: float = 0.25) -> Body:
     """Return silence with a wire along z."""
     body = block((20.0, 24.0, 12.0), spacing_mm)
-    body.echogenicity[:] = 0
+    np.asarray(body.echogenicity)[:] = 0
     x = round((at_mm[0] - body.origin_mm[0]) / spacing_mm)
     y = round((at_mm[1] - body.origin_mm[1]) / spacing_mm)
-    body.echogenicity[:, y, x] = 240
-    body.tissue[:, y, x] = int(Tissue.TENDON)
+    np.asarray(body.echogenicity)[:, y, x] = 240
+    np.asarray(body.tissue)[:, y, x] = int(Tissue.TENDON)
     return body
 
 
@@ -184,7 +184,7 @@ def test_planes_and_echoes_agree_on_where_tissue_ends() -> None:
     """Under any pose and deformation, echoes come from where the label says, in a sector too."""
     body = block((30.0, 30.0, 24.0), 0.25)
     middle = body.echogenicity.shape[2] // 2
-    body.echogenicity[:, :, :middle] = 0
+    np.asarray(body.echogenicity)[:, :, :middle] = 0
     deformation = Deformation((0.3, 0.5, -0.2), 0.08, ARTERIES)
     where = pose(0.5, 1.0, 0.7, (6, -8, 11))
     for beam, grid in ((BEAM, GRID), (CONVEX, SECTOR)):
@@ -207,7 +207,7 @@ def test_labels_are_those_of_the_nearest_voxels() -> None:
     """Each pixel has the label of the voxel it is in; 0 outside; coarser rows on request."""
     body = block((12.0, 20.0, 8.0), 0.5)
     rng = np.random.default_rng(0)
-    body.tissue[:] = rng.integers(1, 12, body.tissue.shape)
+    np.asarray(body.tissue)[:] = rng.integers(1, 12, body.tissue.shape)
     where = pose(1.0, 2.0, 0.3, (10, 20, 30))
     labels = sample_plane(body.tissue, body, where, GRID)
     x, y = np.meshgrid(GRID.lateral_mm, GRID.axial_mm)
