@@ -27,7 +27,7 @@ RANGE_DB = 20.0  # of photoacoustic amplitudes, for the eye
 
 def main(folder: Path, body: Body | None = None, length_mm: float = 20.0, frames: int = 96) -> None:
     """Write a frame in all modalities and the volumes' vessels, made with the true poses."""
-    motion = MotionSettings("S", length_mm, frames, excursion_mm=3.0, pauses=0)
+    motion = MotionSettings("S", length_mm, frames, excursion_mm=0.15 * length_mm, pauses=0)
     modalities = ("power_doppler", "photoacoustic")
     scan = simulate_sweep(draw_sweep(SUBJECT, 0, motion, modalities=modalities), body)
     scan = correct_photoacoustic(scan, PhotoacousticCorrection(SKIN_MM, FADING_PER_MM))

@@ -65,7 +65,7 @@ def test_simulated_vessels(tmp_path):
     """The pictures of the pages on simulation and imaging can be made again."""
     body = vessel_phantom(size_mm=(80.0, 48.0, 60.0))
 
-    example("simulated_vessels.py")(tmp_path, body, length_mm=10.0, frames=12)
+    example("simulated_vessels.py")(tmp_path, body, length_mm=4.0, frames=20)
 
     assert {path.name for path in tmp_path.iterdir()} == {
         "modalities.png",
