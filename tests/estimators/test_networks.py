@@ -13,6 +13,7 @@ from sonosweep.estimators.network import FrameShape, RecurrentNetwork, Stepper, 
 from tests.estimators.tiny_networks import SHAPE, TINY
 
 ROUND_OFF = 1e-5  # float32 through some twenty layers, of values about 1
+TENSOR_FLOAT = 1e-2  # a GPU's convolutions round to 10 bits
 RECURRENT = ("cnn", "lstm", "moglo")
 FRAMES = 5  # the window of the networks that have one
 
@@ -159,6 +160,22 @@ def test_frame_by_frame_is_the_whole_scan(name: str, at_once: int) -> None:
     for key, maps in whole.maps.items():
         parts = torch.cat([output.maps[key] for output in pushed], 1)
         torch.testing.assert_close(parts, maps, atol=ROUND_OFF, rtol=0)
+
+
+@pytest.mark.gpu
+@every_network
+def test_a_gpu_gives_the_same_motion(name: str) -> None:
+    """What a network says does not depend on where it runs."""
+    if not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device")
+    torch.manual_seed(0)
+    network = TINY[name]().eval()
+
+    with torch.inference_mode():
+        here = network(_frames()).motion
+        there = network.to("cuda")(_frames().to("cuda")).motion.cpu()
+
+    torch.testing.assert_close(there, here, atol=TENSOR_FLOAT, rtol=0)
 
 
 def test_frames_need_pixels() -> None:
