@@ -1,32 +1,32 @@
 """Our own channel-data file: one HDF5 file that holds everything a :class:`ChannelSweep` does.
 
-======================== ==================================================================
-``/`` attributes         ``format`` = ``"sonosweep channel data"``, ``format_version`` = 1,
-                         ``written_by``, ``name``, ``subject`` (if known)
-``b_mode/``              one group for each modality that there is, see below
+=============================== ============================================================
+``/`` attributes                ``format`` = ``"sonosweep channel data"``, ``format_version`` = 1,
+                                ``written_by``, ``name``, ``subject`` (if known)
+``b_mode/``                     one group for each modality that there is, see below
 ``power_doppler/``
 ``photoacoustic/``
-``image_to_reference``   float64 (frames, 4, 4), mm; NaN where the tracker missed a frame
-``tracked``              bool (frames): which poses are valid
-``notes``                JSON text: what the reader of the original file found, by subject
-======================== ==================================================================
+``image_to_reference``          float64 (frames, 4, 4), mm; NaN where the tracker missed a frame
+``tracked``                     bool (frames): which poses are valid
+``notes``                       JSON text: what the reader of the original file found, by subject
+=============================== ============================================================
 
 Each modality has
 
-======================== ==================================================================
-attributes               ``name``, ``sampling_frequency_hz``, ``demodulation_frequency_hz``
-                         (0 for RF), ``sound_speed_m_per_s``, ``pulse_repetition_hz`` (if
-                         known)
-``samples``              (frames, transmits, elements, samples), any real or complex type,
-                         chunks of one transmit; h5py's complex numbers: pairs ``r``, ``i``
-``start_time_s``         float64 (transmits): the first sample after time zero; 0 if absent
-``transmit_delays_s``    float64 (transmits, elements), NaN for silent elements; absent
-                         if nothing is sent
-``timestamps_s``         float64 (frames), if known
-``probe/`` attributes    ``name``, ``element_width_mm``, ``center_frequency_hz``,
-                         ``elevation_aperture_mm`` and ``elevation_focus_mm`` (if known)
+=============================== ============================================================
+attributes                      ``name``, ``sampling_frequency_hz``, ``demodulation_frequency_hz``
+                                (0 for RF), ``sound_speed_m_per_s``, ``pulse_repetition_hz`` (if
+                                known)
+``samples``                     (frames, transmits, elements, samples), any real or complex type,
+                                chunks of one transmit; h5py's complex numbers: pairs ``r``, ``i``
+``start_time_s``                float64 (transmits): the first sample after time zero; 0 if absent
+``transmit_delays_s``           float64 (transmits, elements), NaN for silent elements; absent
+                                if nothing is sent
+``timestamps_s``                float64 (frames), if known
+``probe/`` attributes           ``name``, ``element_width_mm``, ``center_frequency_hz``,
+                                ``elevation_aperture_mm`` and ``elevation_focus_mm`` (if known)
 ``probe/element_positions_mm``  float64 (elements, 3): lateral, axial, elevational
-======================== ==================================================================
+=============================== ============================================================
 
 Text has a fixed length and is UTF-8. Samples are not compressed unless asked: noise in the
 last bits of RF leaves little to gain.
