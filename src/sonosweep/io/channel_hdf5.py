@@ -43,18 +43,16 @@ import torch
 from torch import Tensor
 
 from sonosweep.errors import FormatError, SonosweepError
-from sonosweep.io.atomic import write_beside
 from sonosweep.io.channel_frames import AXES, channel_frames
 from sonosweep.io.disk_sink import DiskSink
 from sonosweep.io.hdf5 import Compression, fixed_text, read_notes
 from sonosweep.io.hdf5_access import (
-    DAMAGE,
-    first_line,
     open_hdf5,
     read_array,
     read_number_attribute,
     read_text_attribute,
 )
+from sonosweep.io.new_hdf5 import new_hdf5
 from sonosweep.scan import ChannelData, ChannelSweep, Probe, modalities
 
 FORMAT_NAME = "sonosweep channel data"
@@ -91,16 +89,8 @@ def write_channels(
     """
     if any(len(data.samples) == 0 for data in modalities(sweep).values()):
         raise FormatError(f"'{sweep.name}' has no frames: there is nothing to write")
-    with write_beside(path) as temporary:
-        try:
-            with DiskSink(temporary) as sink:
-                with h5py.File(sink, "w") as file:
-                    _write_sweep(file, sweep, compression, sink)
-                sink.check()
-        except (SonosweepError, OSError):
-            raise
-        except DAMAGE as error:
-            raise FormatError(f"cannot write '{path}': {first_line(error)}") from error
+    with new_hdf5(path) as (file, sink):
+        _write_sweep(file, sweep, compression, sink)
 
 
 def read_channels(path: str | os.PathLike) -> ChannelSweep:

@@ -34,11 +34,8 @@ import torch
 from torch import Tensor
 
 from sonosweep.errors import FormatError, SonosweepError
-from sonosweep.io.atomic import write_beside
 from sonosweep.io.disk_sink import DiskSink
 from sonosweep.io.hdf5_access import (
-    DAMAGE,
-    first_line,
     frames_from_dataset,
     get_dataset,
     open_hdf5,
@@ -46,6 +43,7 @@ from sonosweep.io.hdf5_access import (
     read_number_attribute,
     read_text_attribute,
 )
+from sonosweep.io.new_hdf5 import new_hdf5
 from sonosweep.scan import Calibration, Companion, Frames, Region, Scan
 
 FORMAT_NAME = "sonosweep scan"
@@ -78,16 +76,8 @@ def write_scan(scan: Scan, path: str | os.PathLike, compression: Compression | N
     """
     if len(scan.frames) == 0:
         raise FormatError(f"'{scan.name}' has no frames: there is nothing to write")
-    with write_beside(path) as temporary:
-        try:
-            with DiskSink(temporary) as sink:
-                with h5py.File(sink, "w") as file:
-                    _write_parts(file, scan, compression, sink)
-                sink.check()
-        except (SonosweepError, OSError):
-            raise
-        except DAMAGE as error:
-            raise FormatError(f"cannot write '{path}': {first_line(error)}") from error
+    with new_hdf5(path) as (file, sink):
+        _write_parts(file, scan, compression, sink)
 
 
 def read_scan(path: str | os.PathLike) -> Scan:
