@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sonosweep.errors import FormatError
+from sonosweep.io.disk_sink import DiskSink
 from sonosweep.io.hdf5_access import open_hdf5
 
 FORMAT = "sonosweep maps 1"
@@ -28,14 +29,16 @@ class MapFile:
 
     Raises:
         FormatError: If it cannot be written.
+        OSError: When the disk is full.
     """
 
     def __init__(self, path: str | os.PathLike) -> None:
         self.path = Path(path)
         try:
-            self._file = h5py.File(self.path, "w")
+            self._sink = DiskSink(self.path).__enter__()
         except OSError as error:
             raise FormatError(f"cannot write '{path}': {error.strerror or error}") from error
+        self._file = h5py.File(self._sink, "w")
         self._file.attrs["format"] = FORMAT
 
     def __enter__(self) -> "MapFile":
@@ -45,6 +48,8 @@ class MapFile:
     def __exit__(self, *_: object) -> None:
         """Close the file."""
         self._file.close()
+        self._sink.__exit__(None, None, None)
+        self._sink.check()
 
     def append(self, first: int, maps: Mapping[str, Float[Tensor, "steps ..."]]) -> None:
         """Write the maps of some steps.
@@ -66,6 +71,7 @@ class MapFile:
             )
             stored.resize(first + len(values), axis=0)
             stored[first:] = values.numpy()
+        self._sink.check()
 
 
 def read_maps(path: str | os.PathLike, step: int) -> dict[str, Float[Tensor, "..."]]:
