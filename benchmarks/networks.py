@@ -24,9 +24,9 @@ from sonosweep.estimators.network_names import NETWORKS, build_network
 
 WINDOW = 5
 """Frames; also of the released code of MoGLo-Net."""
-BATCH = {"compact": 8, "compact-256": 8}
+BATCH = {"compact": 8}
 """Windows of a training step; 2 for other presets, which are large."""
-PRESETS = ("paper", "compact", "compact-256")
+PRESETS = ("paper", "compact")
 MOST_RUNS, LEAST_RUNS, ENOUGH_S = 20, 2, 1.0
 """A call is repeated until it has taken long enough."""
 

@@ -75,7 +75,8 @@ def test_other_formats_hold_a_sweep_without_its_companions(run, tmp_path):
 
 def test_a_data_set_is_made_with_its_table(run, tmp_path, monkeypatch):
     """One line says what is there; the same command again keeps it."""
-    monkeypatch.setitem(datasets.RECIPES, "dataset1", lambda *_: list(tiny_recipe().scans))
+    plan = (lambda *_: list(tiny_recipe().scans), ((1, 0, 1),) * 3)
+    monkeypatch.setitem(datasets.RECIPES, "dataset1", plan)
     monkeypatch.setattr(make, "run_jobs", _run_here)
     words = ("simulate", "--dataset", "dataset1", "--size", "small", "-o", "set")
 

@@ -10,7 +10,6 @@ from sonosweep.errors import RecipeError, ScanError
 from sonosweep.estimators.correlation import CorrelationGeometry
 from sonosweep.estimators.moglo import (
     COMPACT,
-    COMPACT_256,
     PAPER,
     RELEASED_CODE,
     MoGLo,
@@ -98,10 +97,10 @@ def test_released_code_has_as_many_parameters() -> None:
 
 @pytest.mark.parametrize(
     ("options", "shape"),
-    [(COMPACT, FrameShape(1, 128, 128)), (COMPACT_256, FrameShape())],
+    [(COMPACT, FrameShape()), (replace(COMPACT, stem_stride=4), FrameShape(1, 128, 128))],
 )
 def test_compact_networks_see_8_by_8_regions(options: MoGLoOptions, shape: FrameShape) -> None:
-    """Both compact sizes weigh 64 blocks of a frame."""
+    """Both weigh 64 blocks of a frame."""
     network = _network(options, shape).eval()
 
     with torch.inference_mode():
@@ -258,3 +257,22 @@ def test_frames_that_cannot_be_halved_are_refused() -> None:
     """Blocks and regions tile the frame only in multiples of 64 pixels."""
     with pytest.raises(ScanError, match="multiples of 64 pixels, got 100 x 128"):
         MoGLo(FrameShape(1, 100, 128))
+
+
+def test_angles_of_the_correlation_tell_small_steps_apart() -> None:
+    """The angle is arccos of the correlation: 0 between equal frames, and finite in training."""
+    frames = _frames(FrameShape(1, 64, 64), 2)
+    same = frames[:, :1].expand_as(frames).contiguous()
+    volumes = {}
+    for measure in ("correlation", "angle"):
+        network = _network(replace(TINY, measure=measure), FrameShape(1, 64, 64))
+        encoded = [network.encode(part)[1:] for part in same.unbind(1)[:2]]
+        volumes[measure] = network._volumes(encoded[0], encoded[1])[0]
+
+    cosine = volumes["angle"].cos()
+    torch.testing.assert_close(cosine, volumes["correlation"], atol=2e-4, rtol=0)  # its clamp
+    assert float(volumes["angle"].detach().min()) < 0.015
+    volumes["angle"].sum().backward()
+    gradients = [p.grad for p in network.encoder_1.parameters() if p.grad is not None]
+    assert gradients
+    assert all(bool(gradient.isfinite().all()) for gradient in gradients)

@@ -22,6 +22,8 @@ from sonosweep.simulate import make, refuse_test_subjects
 from sonosweep.simulate.datasets import DatasetRecipe, dataset_recipe
 from sonosweep.simulate.make import dataset_files, make_dataset
 from sonosweep.simulate.motion import sweep_poses
+from sonosweep.simulate.planned_sweep import planned_body, simulate_planned
+from sonosweep.simulate.random_sweep import draw_sweep
 from sonosweep.simulate.seeds import generator, subject_name
 from sonosweep.simulate.tracker import ELECTROMAGNETIC, OPTICAL
 from tests.simulate.motion_bodies import arm
@@ -146,6 +148,67 @@ def test_other_small_data_sets_are_a_small_part_of_the_work(name):
     assert pixels[0] < 0.1 * pixels[1]
 
 
+@pytest.mark.parametrize(
+    ("name", "scans"), [("dataset1", 2700), ("dataset2", 1800), ("dataset3", 1080)]
+)
+def test_varied_data_sets_have_stretches_of_many_sweeps_to_learn_from(name, scans):
+    """Of 90 people; tests are on as many scans as in the small ones."""
+    recipe = dataset_recipe(name, "varied")
+    train = [scan for scan in recipe.scans if scan.part == "train"]
+    stretches = [scan.stretch for scan in train if scan.stretch is not None]
+
+    assert len({scan.subject for scan in train}) == 90
+    assert len(stretches) == len(train) == scans
+    assert {scan.frames for scan in train} == {10}
+    assert len({first for first, _ in stretches}) > 50
+    assert all(0 <= s.stretch[0] <= s.motion.frames - 10 for s in train if s.stretch)
+    assert counts(recipe)[1:] == (6, counts(dataset_recipe(name, "small"))[2])
+    assert all(s.stretch is None for s in recipe.scans if s.part != "train")
+
+
+def test_scanners_are_as_in_the_paper_unless_others_are_asked_for():
+    """Research scanners show what they hear; clinical ones have a preset in each scan."""
+    for name, kind in (
+        ("dataset1", "research"),
+        ("dataset2", "research"),
+        ("dataset3", "clinical"),
+    ):
+        assert {scan.scanner for scan in FULL[name].scans} == {kind}
+    clinical = dataset_recipe("dataset1", scanner="clinical")
+    assert {scan.scanner for scan in clinical.scans} == {"clinical"}
+    assert clinical.digest() != FULL["dataset1"].digest()
+    plans = clinical.scans[:12]
+    presets = {kind: set[tuple[float, ...]]() for kind in ("research", "clinical")}
+    for kind, found in presets.items():
+        for plan in plans:
+            drawn = draw_sweep(plan.subject, plan.scan, plan.motion, scanner=kind).scanner
+            found.add((drawn.persistence_frames, drawn.speckle_reduction, drawn.dynamic_range_db))
+    assert presets["research"] == {(1, 0.0, 60.0)}
+    assert len(presets["clinical"]) == 12
+
+
+def test_companions_can_be_added_to_a_data_set():
+    """Each once, beside those that it has."""
+    recipe = dataset_recipe("dataset2", "small", modalities=("iq", "power_doppler"))
+
+    assert {scan.modalities for scan in recipe.scans} == {("power_doppler", "photoacoustic", "iq")}
+
+
+def test_a_stretch_of_a_sweep_is_what_the_whole_sweep_has_there():
+    """Frames, poses and times."""
+    whole = replace(tiny_recipe().scans[0], stretch=None)
+    part = replace(whole, stretch=(1, 2))
+    body = planned_body(whole)
+    long, short = simulate_planned(whole, body), simulate_planned(part, body)
+
+    assert part.frames == len(short.frames) == 2
+    assert part.digest() != whole.digest()
+    np.testing.assert_array_equal(short.frames[:], long.frames[1:3])
+    assert long.image_to_reference is not None
+    assert short.image_to_reference is not None
+    assert bool((short.image_to_reference == long.image_to_reference[1:3]).all())
+
+
 @pytest.mark.parametrize("name", FULL)
 def test_only_the_test_part_has_subjects_that_training_refuses(name):
     """Subjects from 900000 on; seeds share no subject."""
@@ -170,7 +233,7 @@ def test_the_same_recipe_is_the_same_plan():
     ("arguments", "words"),
     [
         (("dataset9",), "there is no data set 'dataset9'; known are dataset1, dataset2, dataset3"),
-        (("dataset1", "tiny"), "a data set is 'full' or 'small', got 'tiny'"),
+        (("dataset1", "tiny"), "a data set is full, small or varied, got 'tiny'"),
         (("dataset1", "full", 100), "the seed of a data set is from 0 to 99, got 100"),
     ],
 )

@@ -208,6 +208,8 @@ def test_what_cannot_be_simulated_is_refused(body: Body) -> None:
         BodyMotionSettings(strain=0.4)
     with pytest.raises(ScanError, match=r"a probe is 'linear' or 'convex', got 'round'"):
         draw_sweep(900001, 0, probe="round")
+    with pytest.raises(ScanError, match=r"a scanner is 'research' or 'clinical', got 'toy'"):
+        draw_sweep(900001, 0, scanner="toy")  # type: ignore[arg-type]  # not a kind
 
 
 def test_drawn_sweeps_differ_within_their_ranges() -> None:

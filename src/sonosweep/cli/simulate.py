@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from cyclopts import Group, Parameter
 
@@ -31,7 +31,6 @@ class SweepOptions:
         backward: Traverse the line from its end.
         probe: Linear as the paper's, or convex with sector images.
         pixels: Columns and rows over the same field of view.
-        modalities: What is recorded beside B-mode.
     """
 
     body: Literal["forearm", "uniform", "wires", "cysts", "vessels"] = "forearm"
@@ -45,10 +44,22 @@ class SweepOptions:
     backward: Annotated[bool, Parameter(negative="")] = False
     probe: Literal["linear", "convex"] = "linear"
     pixels: Annotated[tuple[int, int] | None, Parameter(negative="")] = None
-    modalities: Annotated[
-        tuple[Literal["power_doppler", "photoacoustic", "iq", "amplitude"], ...],
-        Parameter(negative="", consume_multiple=True, show_default=False),
-    ] = ()
+
+
+class Recording(NamedTuple):
+    """What a sweep and a data set have in common.
+
+    Attributes:
+        seed: Of the sweep or the data set.
+        tracker: Name of what sees the poses, or ``"none"``.
+        scanner: Kind of it, if one is asked for.
+        modalities: Companions.
+    """
+
+    seed: int
+    tracker: str
+    scanner: Literal["research", "clinical"] | None
+    modalities: tuple[str, ...]
 
 
 @Parameter(name="*", group=DATASET)
@@ -59,13 +70,14 @@ class DatasetOptions:
     Attributes:
         dataset: As in the paper: forearms in B-mode; with power Doppler and photoacoustics;
             with a convex probe.
-        size: As large as the paper's, or small enough for a laptop.
+        size: As large as the paper's, small enough for a laptop, or as small with many subjects
+            in short stretches to learn from.
         layout: Of the files: ours, or that of the TUS-REC challenges.
         workers: Processes; as many as there are cores otherwise. The files are the same.
     """
 
     dataset: Literal["dataset1", "dataset2", "dataset3"] | None = None
-    size: Literal["full", "small"] | None = None
+    size: Literal["full", "small", "varied"] | None = None
     layout: Literal["hdf5", "tusrec"] | None = None
     workers: Annotated[int | None, WHOLE] = None
 
@@ -75,6 +87,11 @@ def simulate(
     output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)],
     seed: Annotated[int, WHOLE] = 0,
     tracker: Literal["none", "electromagnetic", "optical"] = "none",
+    scanner: Literal["research", "clinical"] | None = None,
+    modalities: Annotated[
+        tuple[Literal["power_doppler", "photoacoustic", "iq", "amplitude"], ...],
+        Parameter(negative="", consume_multiple=True, show_default=False),
+    ] = (),
     sweep: SweepOptions | None = None,
     dataset: DatasetOptions | None = None,
     force: Force = False,
@@ -88,15 +105,20 @@ def simulate(
         output: File of the sweep, as for convert; or folder of the data set.
         seed: Another number gives another sweep of the subject, or other subjects.
         tracker: Whose poses are written: the exact ones, or those that a tracker reports.
+        scanner: A clinical one has a preset of its own in every scan (gray map, persistence,
+            speckle reduction), a research one shows what it hears; that of the data set, or
+            clinical.
+        modalities: What is recorded beside B-mode, and beside what the data set has.
     """
     from sonosweep.cli.output import say
     from sonosweep.cli.simulate_job import run_dataset, run_sweep
 
     _refuse_idle(sweep, dataset)
+    recording = Recording(seed, tracker, scanner, modalities)
     if dataset is not None:
-        line, facts = run_dataset(dataset, output, seed, tracker, force)
+        line, facts = run_dataset(dataset, output, recording, force)
     else:
-        line, facts = run_sweep(sweep or SweepOptions(), output, seed, tracker, force)
+        line, facts = run_sweep(sweep or SweepOptions(), output, recording, force)
     say(line, facts, json)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from sonosweep.cli.info import path_length_mm
 from sonosweep.cli.output import check_free
 from sonosweep.cli.progress import progress
-from sonosweep.cli.simulate import DatasetOptions, SweepOptions
+from sonosweep.cli.simulate import DatasetOptions, Recording, SweepOptions
 from sonosweep.errors import ScanError
 from sonosweep.io import write_scan_as
 from sonosweep.io.open import HDF5
@@ -28,7 +28,7 @@ MOST_PIXELS = 4096
 
 
 def run_dataset(
-    options: DatasetOptions, folder: Path, seed: int, tracker: str, force: bool
+    options: DatasetOptions, folder: Path, recording: Recording, force: bool
 ) -> tuple[str, dict[str, Any]]:
     """Make a data set, or what is missing of it; return what to say, and as facts.
 
@@ -37,13 +37,19 @@ def run_dataset(
         FormatError: If the folder holds something else or cannot be written to.
     """
     assert options.dataset is not None
-    recipe = dataset_recipe(options.dataset, options.size or "full", seed)
+    recipe = dataset_recipe(
+        options.dataset,
+        options.size or "full",
+        recording.seed,
+        scanner=recording.scanner,
+        modalities=recording.modalities,
+    )
     with progress(f"{recipe.name}, frames") as show:
         made = make_dataset(
             recipe,
             folder,
             layout=options.layout or "hdf5",
-            tracker=_tracker(tracker),
+            tracker=_tracker(recording.tracker),
             workers=options.workers if options.workers is not None else os.cpu_count() or 1,
             again=force,
             progress=show,
@@ -58,7 +64,7 @@ def run_dataset(
     facts = {
         "dataset": recipe.name,
         "size": recipe.size,
-        "seed": seed,
+        "seed": recording.seed,
         "scans": made.scans,
         "kept": made.kept,
         "frames": made.frames,
@@ -68,7 +74,7 @@ def run_dataset(
 
 
 def run_sweep(
-    options: SweepOptions, output: Path, seed: int, tracker: str, force: bool
+    options: SweepOptions, output: Path, recording: Recording, force: bool
 ) -> tuple[str, dict[str, Any]]:
     """Make one sweep and write it; return what to say, and as facts.
 
@@ -82,7 +88,7 @@ def run_sweep(
     beside = poses_beside(output)
     if beside is not None:
         check_free(beside, force)
-    scan = _simulate(options, seed, tracker)
+    scan = _simulate(options, recording)
     kept = scan.companions if output.suffix.lower() in HDF5 else {}
     total = len(scan.frames) * (1 + len(kept))
     done = 0
@@ -131,16 +137,17 @@ def _check(options: SweepOptions) -> None:
         raise ScanError(f"the phantom '{options.body}' has no left --side: leave it out")
 
 
-def _simulate(options: SweepOptions, seed: int, tracker: str) -> Scan:
+def _simulate(options: SweepOptions, recording: Recording) -> Scan:
     """Return the sweep that the options describe."""
     settings = draw_sweep(
         options.subject,
-        seed,
+        recording.seed,
         _motion(options),
         probe=options.probe,
         pixels=options.pixels,
-        modalities=options.modalities,
-        tracker=_tracker(tracker),
+        modalities=recording.modalities,
+        tracker=_tracker(recording.tracker),
+        scanner=recording.scanner or "clinical",
     )
     return simulate_sweep(settings, _body(options))
 

@@ -10,7 +10,7 @@ References:
     its released code, from which the sizes are that the paper leaves open.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import torch
@@ -35,6 +35,9 @@ from sonosweep.estimators.network import FrameShape, NetworkOutput, RecurrentNet
 SIZE = 4
 """Side of E4 and of a local block; also pixels of E1 and E2 for each of E3."""
 
+LARGEST_CORRELATION = 0.9999
+"""Of which an angle is taken: at 1 it has no slope."""
+
 
 @dataclass(frozen=True)
 class MoGLoOptions:
@@ -58,6 +61,10 @@ class MoGLoOptions:
         zero_mean: Whether the local mean is taken off E1 before it is correlated, and the
             volumes are normalized. Not in the paper, where the cosine of features after a
             rectifier is near 1 everywhere.
+        measure: Whether the volumes hold the correlation, or its angle, which is arccos of it.
+            Not in the paper. Speckle decorrelates with the square of a small step, so that
+            the correlation hardly changes where steps are small; its angle grows in
+            proportion to the step.
         image_correlation: Whether the frames themselves are correlated beside E1. Not in
             the paper, where axial steps are an eighth of a pixel of E1.
         layout: What the channels of C are: displacements on the grid of regions; or regions
@@ -80,6 +87,7 @@ class MoGLoOptions:
     correlation: bool = True
     attention: bool = True
     zero_mean: bool = True
+    measure: Literal["correlation", "angle"] = "angle"
     image_correlation: bool = True
     layout: Literal["displacements", "regions"] = "displacements"
     differentiable: bool = True
@@ -108,27 +116,30 @@ class MoGLoOptions:
         return SIZE * max(self.stem_stride, 4)
 
 
-PAPER = MoGLoOptions(zero_mean=False, image_correlation=False, reading=PAPER_READING)
+PAPER = MoGLoOptions(
+    zero_mean=False, measure="correlation", image_correlation=False, reading=PAPER_READING
+)
 """The paper's equations to the letter."""
 
 RELEASED_CODE = MoGLoOptions(
-    zero_mean=False, image_correlation=False, layout="regions", differentiable=False
+    zero_mean=False,
+    measure="correlation",
+    image_correlation=False,
+    layout="regions",
+    differentiable=False,
 )
 """What the released code does, but for the mirrored axes of its correlation arrays."""
 
 COMPACT = MoGLoOptions(
     width=32,
     blocks=(1, 1, 2, 1),
-    stem_stride=4,
+    stem_stride=8,
     halve="before",
     hidden=128,
     projection=32,
     geometry=CorrelationGeometry(radius=2),
 )
-"""Trains on a CPU and runs on one; best at 128 x 128 pixels."""
-
-COMPACT_256 = replace(COMPACT, stem_stride=8)
-"""The same for 256 x 256 pixels, in about the time that ``COMPACT`` takes for a quarter."""
+"""Trains on a CPU and runs on one, at 256 x 256 pixels; of 128 x 128 choose a stem of 4."""
 
 
 class MoGLo(RecurrentNetwork):
@@ -226,7 +237,10 @@ class MoGLo(RecurrentNetwork):
         if o.image_correlation:
             frames = image_correlation(first[1], second[1], o.reduction, o.shifts)
             volumes.append(_as_channels(frames, "displacements"))
-        return torch.cat(volumes, 1), (volume.detach().mean((1, 2)),)
+        channels = torch.cat(volumes, 1)
+        if o.measure == "angle":
+            channels = channels.clamp(-LARGEST_CORRELATION, LARGEST_CORRELATION).acos()
+        return channels, (volume.detach().mean((1, 2)),)
 
 
 class _MotionEstimator(nn.Module):

@@ -26,7 +26,6 @@ from sonosweep.estimators.lstm import COMPACT as LSTM_COMPACT
 from sonosweep.estimators.lstm import LSTM, LSTMOptions
 from sonosweep.estimators.lstm import PAPER as LSTM_PAPER
 from sonosweep.estimators.moglo import COMPACT as MOGLO_COMPACT
-from sonosweep.estimators.moglo import COMPACT_256 as MOGLO_COMPACT_256
 from sonosweep.estimators.moglo import PAPER as MOGLO_PAPER
 from sonosweep.estimators.moglo import RELEASED_CODE as MOGLO_RELEASED_CODE
 from sonosweep.estimators.moglo import MoGLo, MoGLoOptions
@@ -78,7 +77,6 @@ NETWORKS: dict[str, NetworkKind] = {
             "released-code": MOGLO_RELEASED_CODE,
             "full": MoGLoOptions(),
             "compact": MOGLO_COMPACT,
-            "compact-256": MOGLO_COMPACT_256,
         },
         "Lee et al. 2025",
     ),

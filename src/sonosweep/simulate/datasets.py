@@ -10,7 +10,15 @@ dataset3   19 subjects; C, L and S over both forearms, across the arm and along 
            it; convex probe, 36 to 430 frames
 ========== ======================================================================== =========
 
+Data sets 1 and 2 are of a research scanner, as the paper's, data set 3 of clinical ones, unless
+another kind is asked for.
+
 Subjects of the test part have numbers from 900000 on, so that training can refuse them.
+
+A network learns by heart how fast the hand was in each of few scans, and then reads others
+badly. Therefore the size ``"varied"`` has two or three times as many frames to learn from as
+``"small"``, but from thousands of sweeps over many people: each of its training scans is a
+stretch of ten frames.
 
 References:
     Lee et al., "Enhancing Free-hand 3D Photoacoustic and Ultrasound Reconstruction using
@@ -20,7 +28,7 @@ References:
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -32,12 +40,16 @@ from sonosweep.errors import ScanError
 from sonosweep.scan.split import PARTS, Split
 from sonosweep.simulate.bodies import BodyName, Side
 from sonosweep.simulate.motion import MotionSettings, Orientation
+from sonosweep.simulate.random_sweep import ScannerKind
 from sonosweep.simulate.seeds import FIRST_TEST_SUBJECT, generator, subject_name
 from sonosweep.simulate.sweep_path import SweepShape
 
 Part = Literal["train", "validation", "test"]
+Parts = tuple[int, int, int]
+"""Subjects for training, validation and tests."""
 
-SIZES = ("full", "small")
+SIZES = ("full", "small", "varied")
+STRETCH_FRAMES = 10
 MOST_SEEDS = 100
 SUBJECTS_PER_SEED = 100
 STEP_MM = 0.21  # mean of data set 1: 199.3 mm in 950 frames
@@ -76,6 +88,9 @@ class PlannedScan:
         pixels: Columns and rows of a frame.
         modalities: Companions beside B-mode.
         body: What is scanned.
+        scanner: ``"research"`` or ``"clinical"``.
+        stretch: First frame and number of those of the sweep that are recorded; ``None`` for
+            all.
     """
 
     name: str
@@ -88,6 +103,13 @@ class PlannedScan:
     pixels: tuple[int, int] = (256, 256)
     modalities: tuple[str, ...] = ()
     body: BodyName = "forearm"
+    scanner: ScannerKind = "clinical"
+    stretch: tuple[int, int] | None = None
+
+    @property
+    def frames(self) -> int:
+        """How many are recorded."""
+        return self.motion.frames if self.stretch is None else self.stretch[1]
 
     def digest(self) -> str:
         """Return a text that differs for different scans and versions of the program."""
@@ -101,7 +123,8 @@ class DatasetRecipe:
 
     Attributes:
         name: Which one.
-        size: ``"full"`` as in the paper, or ``"small"`` for a laptop.
+        size: ``"full"`` as in the paper, ``"small"`` for a laptop, or ``"varied"``: as small,
+            with many subjects to learn from.
         seed: Another number gives other subjects.
         scans: All of them, ordered by subject.
     """
@@ -125,15 +148,25 @@ class DatasetRecipe:
         return hashlib.sha256(facts.encode()).hexdigest()[:32]
 
 
-def dataset_recipe(name: str, size: str = "full", seed: int = 0) -> DatasetRecipe:
+def dataset_recipe(
+    name: str,
+    size: str = "full",
+    seed: int = 0,
+    *,
+    scanner: ScannerKind | None = None,
+    modalities: tuple[str, ...] = (),
+) -> DatasetRecipe:
     """Return the recipe of a data set.
 
     Args:
         name: ``"dataset1"``, ``"dataset2"`` or ``"dataset3"``.
-        size: ``"full"`` or ``"small"``, which has shorter scans and, in data set 3, frames of
-            320 x 240 pixels; the scans of data set 1 for tests are as long as in the full
-            set.
+        size: ``"full"``, ``"small"`` or ``"varied"``. A small one has shorter scans and, in
+            data set 3, frames of 320 x 240 pixels; the scans of data set 1 for tests are as
+            long as in the full set. A varied one is a small one with 90 subjects for
+            training, in stretches of 10 frames, and 6 for validation.
         seed: From 0 to 99.
+        scanner: The kind of all scans; ``None`` leaves that of the data set.
+        modalities: Companions beside those that the data set has.
 
     Raises:
         ScanError: If there is no such recipe.
@@ -141,13 +174,20 @@ def dataset_recipe(name: str, size: str = "full", seed: int = 0) -> DatasetRecip
     if name not in RECIPES:
         raise ScanError(f"there is no data set '{name}'; known are {', '.join(RECIPES)}")
     if size not in SIZES:
-        raise ScanError(f"a data set is 'full' or 'small', got '{size}'")
+        raise ScanError(f"a data set is {', '.join(SIZES[:-1])} or {SIZES[-1]}, got '{size}'")
     if not 0 <= seed < MOST_SEEDS:
         raise ScanError(f"the seed of a data set is from 0 to {MOST_SEEDS - 1}, got {seed}")
-    return DatasetRecipe(name, size, seed, tuple(RECIPES[name](size == "small", seed)))
+    plan, sizes = RECIPES[name]
+    scans = plan(size, seed, sizes[SIZES.index(size)])
+    if size == "varied":
+        scans = [_cut(scan) for scan in scans if scan.part != "validation" or scan.scan == 0]
+    if scanner is not None:
+        scans = [replace(scan, scanner=scanner) for scan in scans]
+    wanted = [replace(s, modalities=_both(s.modalities, modalities)) for s in scans]
+    return DatasetRecipe(name, size, seed, tuple(wanted))
 
 
-def _subjects(seed: int, sizes: tuple[int, int, int]) -> list[tuple[int, Part]]:
+def _subjects(seed: int, sizes: Parts) -> list[tuple[int, Part]]:
     """Return the numbers of the subjects and what they are for."""
     subjects: list[tuple[int, Part]] = []
     parts: tuple[Part, Part, Part] = ("train", "validation", "test")
@@ -157,11 +197,26 @@ def _subjects(seed: int, sizes: tuple[int, int, int]) -> list[tuple[int, Part]]:
     return subjects
 
 
-def _dataset1(small: bool, seed: int) -> list[PlannedScan]:
+def _both(modalities: tuple[str, ...], more: tuple[str, ...]) -> tuple[str, ...]:
+    """Return each modality once."""
+    return tuple(dict.fromkeys((*modalities, *more)))
+
+
+def _cut(scan: PlannedScan) -> PlannedScan:
+    """Return a scan for training as a stretch of its sweep, others as they are."""
+    if scan.part != "train" or scan.motion.frames <= STRETCH_FRAMES:
+        return scan
+    draw = generator(scan.subject, scan.scan, "stretch")
+    first = int(draw.integers(scan.motion.frames - STRETCH_FRAMES + 1))
+    return replace(scan, stretch=(first, STRETCH_FRAMES))
+
+
+def _dataset1(size: str, seed: int, parts: Parts) -> list[PlannedScan]:
     scans: list[PlannedScan] = []
-    for subject, part in _subjects(seed, (5, 1, 3)):
-        for number, (side, repeat) in enumerate(_each_arm()):
-            short = small and part != "test"
+    for subject, part in _subjects(seed, parts):
+        repeats = 15 if size == "varied" and part == "train" else 3
+        for number, (side, repeat) in enumerate(_each_arm(repeats)):
+            short = size != "full" and part != "test"
             draw = generator(subject, number, "plan")
             frames = 300 if short else int(draw.integers(900, 1001))
             length_mm = 65.0 if short else float(draw.uniform(185, 215))
@@ -173,20 +228,20 @@ def _dataset1(small: bool, seed: int) -> list[PlannedScan]:
                     part=part,
                     side=side,
                     motion=_s_shape(draw, length_mm, frames),
+                    scanner="research",
                 )
             )
     return scans
 
 
-def _dataset2(small: bool, seed: int) -> list[PlannedScan]:
+def _dataset2(size: str, seed: int, parts: Parts) -> list[PlannedScan]:
     scans: list[PlannedScan] = []
-    for subject, part in _subjects(seed, (5, 1, 4)):
-        for number, (side, repeat) in enumerate(_each_arm()):
-            if small and repeat > 0:
-                continue
+    for subject, part in _subjects(seed, parts):
+        repeats = {"full": 3, "small": 1, "varied": 10 if part == "train" else 1}[size]
+        for number, (side, repeat) in enumerate(_each_arm(repeats)):
             draw = generator(subject, number, "plan")
             frames = int(draw.integers(400, 549))
-            if small:
+            if size != "full":
                 frames //= 4
             scans.append(
                 PlannedScan(
@@ -197,17 +252,18 @@ def _dataset2(small: bool, seed: int) -> list[PlannedScan]:
                     side=side,
                     motion=_s_shape(draw, STEP_MM * frames, frames),
                     modalities=("power_doppler", "photoacoustic"),
+                    scanner="research",
                 )
             )
     return scans
 
 
-def _dataset3(small: bool, seed: int) -> list[PlannedScan]:
+def _dataset3(size: str, seed: int, parts: Parts) -> list[PlannedScan]:
     scans: list[PlannedScan] = []
     sides: tuple[Side, ...] = ("left", "right")
     orientations: tuple[Orientation, ...] = ("parallel", "perpendicular")
     shapes: tuple[SweepShape, ...] = ("C", "L", "S")
-    for subject, part in _subjects(seed, (3, 1, 2) if small else (10, 4, 5)):
+    for subject, part in _subjects(seed, parts):
         for number, (side, orientation, shape) in enumerate(product(sides, orientations, shapes)):
             draw = generator(subject, number, "plan")
             # 30,552 frames in 228 scans: 134 on average.
@@ -238,23 +294,24 @@ def _dataset3(small: bool, seed: int) -> list[PlannedScan]:
                     side=side,
                     motion=motion,
                     probe="convex",
-                    pixels=(320, 240) if small else (640, 480),
+                    pixels=(640, 480) if size == "full" else (320, 240),
                 )
             )
     return scans
 
 
-RECIPES: dict[str, Callable[[bool, int], list[PlannedScan]]] = {
-    "dataset1": _dataset1,
-    "dataset2": _dataset2,
-    "dataset3": _dataset3,
+RECIPES: dict[str, tuple[Callable[[str, int, Parts], list[PlannedScan]], tuple[Parts, ...]]] = {
+    "dataset1": (_dataset1, ((5, 1, 3), (5, 1, 3), (90, 6, 3))),
+    "dataset2": (_dataset2, ((5, 1, 4), (5, 1, 4), (90, 6, 4))),
+    "dataset3": (_dataset3, ((10, 4, 5), (3, 1, 2), (90, 6, 2))),
 }
+"""How each is planned, and its subjects in the order of :data:`SIZES`."""
 
 
-def _each_arm() -> list[tuple[Side, int]]:
-    """Return three scans of each forearm."""
+def _each_arm(repeats: int) -> list[tuple[Side, int]]:
+    """Return so many scans of each forearm."""
     sides: tuple[Side, ...] = ("left", "right")
-    return list(product(sides, range(3)))
+    return list(product(sides, range(repeats)))
 
 
 def _hand(side: Side) -> str:

@@ -96,7 +96,7 @@ class _Job:
     def amount(self) -> int:
         """Frames to write, those of companions included."""
         stacks = 1 if self.layout == "tusrec" else 1 + len(self.scan.modalities)
-        return self.scan.motion.frames * stacks
+        return self.scan.frames * stacks
 
 
 def make_dataset(
@@ -143,7 +143,7 @@ def make_dataset(
     report(0)
     run_jobs(_make, todo, workers, report)
     _write_facts(folder, {**facts, "complete": True})
-    frames = sum(job.scan.motion.frames for job in jobs)
+    frames = sum(job.scan.frames for job in jobs)
     return MadeDataset(folder, len(jobs), frames, len(jobs) - len(todo))
 
 
@@ -187,7 +187,7 @@ def _facts(recipe: DatasetRecipe, jobs: list[_Job]) -> dict[str, Any]:
                 "side": job.scan.side,
                 "shape": job.scan.motion.shape,
                 "orientation": job.scan.motion.orientation,
-                "frames": job.scan.motion.frames,
+                "frames": job.scan.frames,
                 "length_mm": job.scan.motion.length_mm,
                 "companions": [] if job.layout == "tusrec" else list(job.scan.modalities),
             }
@@ -247,7 +247,7 @@ def _is_finished(job: _Job) -> bool:
         scan.frames[-1]
     except SonosweepError:
         return False
-    if scan.image_to_reference is None or len(scan.frames) != job.scan.motion.frames:
+    if scan.image_to_reference is None or len(scan.frames) != job.scan.frames:
         return False
     return job.layout == "tusrec" or scan.notes.get(DIGEST_NOTE) == job.scan.digest()
 

@@ -1,6 +1,7 @@
 """One scan of a data set, made from its plan."""
 
 from sonosweep.scan import Scan
+from sonosweep.scan.select import select_frames
 from sonosweep.simulate.bodies import named_body
 from sonosweep.simulate.body import Body
 from sonosweep.simulate.datasets import PlannedScan
@@ -40,5 +41,10 @@ def simulate_planned(plan: PlannedScan, body: Body, tracker: TrackerSettings | N
         pixels=plan.pixels,
         modalities=plan.modalities,
         tracker=tracker,
+        scanner=plan.scanner,
     )
-    return simulate_sweep(settings, body)
+    scan = simulate_sweep(settings, body)
+    if plan.stretch is None:
+        return scan
+    first, count = plan.stretch
+    return select_frames(scan, range(first, first + count))

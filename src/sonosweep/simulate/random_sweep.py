@@ -24,8 +24,15 @@ breathing                   0 to 0.4 mm, 12 to 20/min           an arm at rest
 blood, its noise, its flow  -54 to -46, -90 to -80 dB, 1.5 to 3 power Doppler
 =========================== =================================== ================================
 
+These are the settings of ``"clinical"`` scanners. A ``"research"`` scanner, such as the paper's
+Verasonics, shows what it hears: 60 dB on a straight gray map, no persistence, no speckle
+reduction; all else is as above.
+
 A convex probe has 2.6 to 3.6 MHz, a radius of 40 mm, wider beams and less haze.
 """
+
+from dataclasses import replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -42,6 +49,8 @@ from sonosweep.simulate.seeds import generator
 from sonosweep.simulate.sweep_settings import SweepSettings
 from sonosweep.simulate.tracker import TrackerSettings
 
+ScannerKind = Literal["research", "clinical"]
+
 PROBE_KINDS = ("linear", "convex")
 
 LINEAR_SIDE_MM = 256 * 0.1484
@@ -57,6 +66,7 @@ CONVEX_SECTOR = SectorGrid(
 CONVEX_WIDTH_MM, CONVEX_TOP_MM = 640 * 0.22, -5.6
 PERSISTENCE, PERSISTENCE_CHANCE = (1, 3, 5), (0.4, 0.4, 0.2)
 NO_REDUCTION_CHANCE = 0.3
+RESEARCH_RANGE_DB = 60.0
 
 
 def draw_sweep(
@@ -68,6 +78,7 @@ def draw_sweep(
     pixels: tuple[int, int] | None = None,
     modalities: tuple[str, ...] = (),
     tracker: TrackerSettings | None = None,
+    scanner: ScannerKind = "clinical",
 ) -> SweepSettings:
     """Return the settings of one scan; the same numbers give the same settings.
 
@@ -80,21 +91,26 @@ def draw_sweep(
             linear and 640 x 480 of a convex probe.
         modalities: What is recorded beside B-mode.
         tracker: What sees the poses; ``None`` gives the truth.
+        scanner: ``"clinical"`` with a preset of its own, or ``"research"``.
 
     Raises:
-        ScanError: If there is no such subject, probe or modality.
+        ScanError: If there is no such subject, probe, scanner or modality.
     """
     if probe not in PROBE_KINDS:
         raise ScanError(f"a probe is 'linear' or 'convex', got '{probe}'")
+    if scanner not in get_args(ScannerKind):
+        raise ScanError(f"a scanner is 'research' or 'clinical', got '{scanner}'")
     draw = generator(subject, scan, "settings")
     beam = _draw_beam(draw, probe)
+    body_motion = _draw_body_motion(draw)
+    drawn = _draw_scanner(draw, beam, probe)
     return SweepSettings(
         subject=subject,
         scan=scan,
         motion=motion or MotionSettings(),
-        body_motion=_draw_body_motion(draw),
+        body_motion=body_motion,
         beam=beam,
-        scanner=_draw_scanner(draw, beam, probe),
+        scanner=_without_preset(drawn) if scanner == "research" else drawn,
         grid=_grid(probe, pixels),
         sector=CONVEX_SECTOR if probe == "convex" else None,
         modalities=modalities,
@@ -148,6 +164,18 @@ def _draw_scanner(draw: np.random.Generator, beam: Beam, probe: str) -> Scanner:
         bone_db=draw.uniform(12, 22),
         persistence_frames=int(draw.choice(PERSISTENCE, p=PERSISTENCE_CHANCE)),
         speckle_reduction=reduction if reduces else 0.0,
+    )
+
+
+def _without_preset(scanner: Scanner) -> Scanner:
+    """Return a scanner that shows what it hears."""
+    return replace(
+        scanner,
+        dynamic_range_db=RESEARCH_RANGE_DB,
+        gray_gamma=1.0,
+        gray_contrast=0.0,
+        persistence_frames=1,
+        speckle_reduction=0.0,
     )
 
 

@@ -55,7 +55,7 @@ class SimulatedData(_Part):
     """
 
     dataset: Literal["dataset1", "dataset2", "dataset3"] = "dataset1"
-    size: Literal["small", "full"] = "small"
+    size: Literal["small", "full", "varied"] = "small"
     first_seed: int = Field(default=1, ge=0, le=99)
     scans: int = Field(default=24, ge=1, le=1000)
     epochs_per_scan: int = Field(default=1, ge=0)
