@@ -274,3 +274,17 @@ def test_a_truncated_hdf5_file_is_called_damaged(tmp_path):
 
     with pytest.raises(FormatError, match=r"'half\.h5' is not a readable HDF5 file.*copy"):
         open_scan(tmp_path / "half.h5")
+
+
+def test_the_packaged_sweep_has_a_name_unless_a_file_has_it(tmp_path, monkeypatch):
+    """It is tracked, and options apply to it as to a file."""
+    monkeypatch.chdir(tmp_path)
+    packaged = open_scan("demo-sweep", spacing_mm=(0.2, 0.3))
+    assert packaged.image_to_reference is not None
+    assert packaged.calibration is not None
+    assert packaged.calibration.spacing_mm == (0.2, 0.3)
+    assert packaged.frames.shape[0] == 140
+    (tmp_path / "demo-sweep").mkdir()
+
+    with pytest.raises(FormatError, match="demo-sweep"):
+        open_scan("demo-sweep")

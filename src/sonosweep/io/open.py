@@ -16,6 +16,7 @@ SEQUENCES = (".mha", ".mhd", ".nrrd", ".nhdr")
 HDF5 = (".h5", ".hdf5", ".hdf")
 VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv")
 IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+DEMO_SWEEP = "demo-sweep"
 KNOWN = "PLUS sequences (.mha .mhd .nrrd .nhdr), HDF5 (.h5), DICOM (.dcm), video, .mat, folders"
 
 
@@ -38,7 +39,8 @@ def open_scan(
     Frames are read when indexed, so opening is quick and small.
 
     Args:
-        path: A file, or a folder of images or of single-frame DICOM files.
+        path: A file, or a folder of images or of single-frame DICOM files; ``"demo-sweep"``
+            for the sweep that ships with the package, where no file has that name.
         plus_config: PLUS device set whose ImageToProbe places the image on the probe.
         pose_file: Poses beside the images (csv, TUM, ``.igs.mha``). With timestamps on both
             sides they are matched by time, else one by one.
@@ -62,7 +64,7 @@ def open_scan(
     file = Path(path)
     if file.name in ("", ".."):  # the folder where one is has a name too
         file = file.resolve()
-    if not file.exists():
+    if not file.exists() and str(path) != DEMO_SWEEP:
         raise FormatError(f"there is no '{file}'")
     scan = _read(file, plus_config, image_orientation, variable)
     scan = replace(scan, name=printable(scan.name))
@@ -104,7 +106,11 @@ def _read(
     file: Path, plus_config: str | os.PathLike | None, orientation: str | None, variable: str | None
 ) -> Scan:
     suffix = file.suffix.lower()
-    if file.is_dir():
+    if not file.exists():
+        from sonosweep.io.demo_sweep import read_demo_sweep
+
+        scan = read_demo_sweep()
+    elif file.is_dir():
         scan = _read_folder(file)
     elif file.stat().st_size == 0:
         raise FormatError(f"'{file.name}' is empty")
