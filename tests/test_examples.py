@@ -3,6 +3,9 @@
 import runpy
 from pathlib import Path
 
+import torch
+
+from sonosweep.estimators.weights import load_weights
 from sonosweep.simulate import uniform_phantom, vessel_phantom
 from tests.estimators.tiny_weights import tiny_weights
 
@@ -11,7 +14,12 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 def example(name):
     """Return the example's main function."""
-    return runpy.run_path(str(EXAMPLES / name))["main"]
+    return example_globals(name)["main"]
+
+
+def example_globals(name):
+    """Return all that the example defines."""
+    return runpy.run_path(str(EXAMPLES / name))
 
 
 def test_reconstruct_sweep(tmp_path, capsys):
@@ -72,3 +80,27 @@ def test_simulated_vessels(tmp_path):
         "vessels_photoacoustic.png",
         "vessels_power_doppler.png",
     }
+
+
+def test_ship_weights(tmp_path):
+    """Half the size, nearly the same motion, and what the test said."""
+    path = tiny_weights(tmp_path, "moglo")
+    names = [column for column, _ in example_globals("ship_weights.py")["TOLD"].values()]
+    table = tmp_path / "table.csv"
+    lines = [f"moglo,seed 0,a{k},p{k // 2},{','.join([str(k)] * len(names))}" for k in range(3)]
+    table.write_text("\n".join([f"method,run,scan,subject,{','.join(names)}", *lines]))
+
+    example("ship_weights.py")(table, tmp_path / "out", [str(path)])
+
+    before, _ = load_weights(path)
+    after, info = load_weights(tmp_path / "out" / "moglo.safetensors")
+    frames = torch.rand((1, 3, 1, 64, 64), generator=torch.Generator().manual_seed(0))
+    with torch.inference_mode():
+        motion, shipped = before(frames).motion, after(frames).motion
+    assert float((shipped - motion).norm() / motion.norm()) < 0.01  # 11 bits in some ten layers
+    assert (tmp_path / "out" / "moglo.safetensors").stat().st_size < 0.7 * path.stat().st_size
+    assert info.metrics["test_rae"] == 1.0
+    assert info.metrics["r_elevational"] == 0.5
+    card = (tmp_path / "out" / "moglo.md").read_text()
+    assert "Mean over 3 simulated test sweeps of 2 subjects" in card
+    assert "| correlation, elevational | 1 |" in card
