@@ -1,6 +1,7 @@
 """MoGLo-Net: sizes of the paper and the released code, and what its options change."""
 
 from dataclasses import replace
+from typing import Literal
 
 import pytest
 import torch
@@ -121,11 +122,14 @@ def test_other_frames_can_be_read(shape: FrameShape) -> None:
     assert output.maps["attention"].shape == (2, 1, shape.rows // 16, shape.columns // 16)
 
 
-def test_motion_is_the_mean_of_what_local_and_global_features_say() -> None:
-    """Two heads are trained, their mean is used, and L and G of the last step contrasted."""
-    output = _output(_network().eval(), _frames())
+@pytest.mark.parametrize("combination", ["mean", "learned"])
+def test_motion_combines_what_local_and_global_features_say(
+    combination: Literal["mean", "learned"],
+) -> None:
+    """Two heads are trained and combined, at first as a mean; L and G are contrasted."""
+    output = _output(_network(replace(TINY, combination=combination)).eval(), _frames())
 
-    assert len(output.heads) == 2
+    assert len(output.heads) == (2 if combination == "mean" else 3)
     mean = (output.heads[0] + output.heads[1]) / 2
     torch.testing.assert_close(output.motion, mean, atol=ROUND_OFF, rtol=0)
     assert output.embedding is not None
@@ -276,3 +280,19 @@ def test_angles_of_the_correlation_tell_small_steps_apart() -> None:
     gradients = [p.grad for p in network.encoder_1.parameters() if p.grad is not None]
     assert gradients
     assert all(bool(gradient.isfinite().all()) for gradient in gradients)
+
+
+def test_what_knows_more_can_count_more() -> None:
+    """Learned weights differ between the six numbers, and sum to 1."""
+    network = _network().eval()
+    assert network.shares is not None
+    with torch.no_grad():
+        network.shares[1, 2] = 50.0
+
+    output = _output(network, _frames())
+
+    mean = (output.heads[0] + output.heads[1]) / 2
+    expected = mean.clone()
+    expected[..., 2] = output.heads[1][..., 2]
+    torch.testing.assert_close(output.motion, expected, atol=ROUND_OFF, rtol=0)
+    assert output.heads[2] is output.motion

@@ -72,6 +72,9 @@ class MoGLoOptions:
             leaves it open.
         differentiable: Whether gradients flow through C; not in the code, the paper does
             not say.
+        combination: Of what local and global features say: their mean (code; the paper does
+            not say); or weights that are learned for each of the six numbers. L is made of
+            E2, which the correlation has not reached, and knows less.
         log_variance: Whether the variance of each number is predicted as well.
         geometry: Of the correlation of E1.
         shifts: Of the correlation of frames, whose blocks are the pixels of E3.
@@ -91,6 +94,7 @@ class MoGLoOptions:
     image_correlation: bool = True
     layout: Literal["displacements", "regions"] = "displacements"
     differentiable: bool = True
+    combination: Literal["mean", "learned"] = "learned"
     log_variance: bool = False
     geometry: CorrelationGeometry = field(default_factory=CorrelationGeometry)
     shifts: ShiftRange = field(default_factory=ShiftRange)
@@ -117,7 +121,11 @@ class MoGLoOptions:
 
 
 PAPER = MoGLoOptions(
-    zero_mean=False, measure="correlation", image_correlation=False, reading=PAPER_READING
+    zero_mean=False,
+    measure="correlation",
+    image_correlation=False,
+    combination="mean",
+    reading=PAPER_READING,
 )
 """The paper's equations to the letter."""
 
@@ -127,6 +135,7 @@ RELEASED_CODE = MoGLoOptions(
     image_correlation=False,
     layout="regions",
     differentiable=False,
+    combination="mean",
 )
 """What the released code does, but for the mirrored axes of its correlation arrays."""
 
@@ -180,6 +189,8 @@ class MoGLo(RecurrentNetwork):
         if o.attention:
             self.attention = GlobalLocalAttention(2 * w, 8 * w, regions, SIZE, o.reading)
         self.estimators = nn.ModuleList(_MotionEstimator(8 * w, o) for _ in range(1 + o.attention))
+        learned = o.attention and o.combination == "learned"
+        self.shares = nn.Parameter(torch.zeros(2, 6)) if learned else None
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stub
 
     def encode(self, frames: Float[Tensor, "batch channels rows columns"]) -> tuple[Tensor, ...]:
@@ -207,7 +218,7 @@ class MoGLo(RecurrentNetwork):
     def regress(
         self, pairs: tuple[Tensor, ...], state: tuple[Tensor, ...] | None
     ) -> tuple[NetworkOutput, tuple[Tensor, ...]]:
-        """Return the motion of steps: the mean of what local and global features say."""
+        """Return the motion of steps: what local and global features say, combined."""
         heads, variances, after = [], [], []
         for k, estimator in enumerate(self.estimators):
             before = None if state is None else (state[2 * k], state[2 * k + 1])
@@ -215,16 +226,24 @@ class MoGLo(RecurrentNetwork):
             heads.append(motion)
             variances.append(log_variance)
             after.extend(last)
-        count, o = len(heads), self.options
+        count, o, motion = len(heads), self.options, self._combined(heads)
+        if self.shares is not None:
+            heads.append(motion)
         names = ("correlation",) * o.correlation + ("attention",) * o.attention
         output = NetworkOutput(
-            motion=torch.stack(heads).mean(0),
+            motion=motion,
             heads=tuple(heads),
             embedding=torch.cat([part[:, -1].float().flatten(1) for part in pairs[:count]], 1),
-            log_variance=torch.stack(variances).mean(0) if o.log_variance else None,
+            log_variance=self._combined(variances) if o.log_variance else None,
             maps=dict(zip(names, pairs[count:], strict=True)),
         )
         return output, tuple(after)
+
+    def _combined(self, parts: list[Tensor]) -> Tensor:
+        """Return the mean, weighted if so learned, of what local and global features say."""
+        if self.shares is None:
+            return torch.stack(parts).mean(0)
+        return (self.shares.softmax(0)[:, None, None] * torch.stack(parts)).sum(0)
 
     def _volumes(
         self, first: tuple[Tensor, ...], second: tuple[Tensor, ...]
