@@ -44,7 +44,8 @@ def run_training(
         return "", {}
     found = run.metrics
     line = (
-        f"{recipe.network.name}, {run.parameters / 1e6:.2f} M parameters, {run.pairs} pairs:"
+        f"{recipe.network.name}, {run.parameters / 1e6:.2f} M parameters, {run.pairs} pairs in"
+        f" {run.cpu_s / 60:.1f} CPU-minutes:"
         f" elevational correlation {found['r_elevational']:.3f}, rAE {found['rae']:.4f} (mean"
         f" motion {found['rae_of_mean']:.4f}), FDR {found['fdr']:.1f} % in validation ->"
         f" {run.weights}"
@@ -53,6 +54,7 @@ def run_training(
         "network": recipe.network.name,
         "parameters": run.parameters,
         "pairs": run.pairs,
+        "cpu_s": run.cpu_s,
         "metrics": found,
         "weights": run.weights,
     }

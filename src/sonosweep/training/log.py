@@ -2,6 +2,7 @@
 
 import csv
 import io
+import time
 from pathlib import Path
 
 from sonosweep.io.atomic import write_beside
@@ -13,7 +14,7 @@ Row = dict[str, float]
 
 
 class RunLog:
-    """Rows of numbers against steps.
+    """Rows of numbers against steps, with the CPU time of this process that they took.
 
     Args:
         folder: Of the run.
@@ -26,10 +27,13 @@ class RunLog:
         self._folder, self._recipe = folder, recipe
         rows = read_log(folder / LOG) if first_step else []
         self._rows = [row for row in rows if row["step"] <= first_step]
+        before = self._rows[-1].get("cpu_s", 0.0) if self._rows else 0.0
+        self._started_s = time.process_time() - before
 
     def write(self, step: int, pairs: int, numbers: Row) -> None:
         """Add a row, and write table and page."""
-        self._rows.append({"step": float(step), "pairs": float(pairs), **numbers})
+        spent = round(time.process_time() - self._started_s, 1)
+        self._rows.append({"step": float(step), "pairs": float(pairs), "cpu_s": spent, **numbers})
         names = list(dict.fromkeys(name for row in self._rows for name in row))
         text = io.StringIO()
         table = csv.DictWriter(text, names, lineterminator="\n")

@@ -23,6 +23,7 @@ import torch
 from sonosweep.errors import FormatError, RecipeError, TrainingError
 from sonosweep.estimators.network import FrameShape, MotionNetwork, WindowNetwork
 from sonosweep.estimators.weights import Builder, WeightsInfo, save_weights
+from sonosweep.training.log import LOG, read_log
 from sonosweep.training.module import MotionModule
 from sonosweep.training.recipe import Recipe, recipe_text
 from sonosweep.training.scans import TrainingScan, data_digest, open_data
@@ -54,12 +55,14 @@ class TrainedRun:
             giving the mean motion.
         pairs: How many pairs of frames were learnt from.
         parameters: Of the network.
+        cpu_s: CPU time of this process from the first step on, validation included.
     """
 
     weights: Path
     metrics: dict[str, float]
     pairs: int
     parameters: int
+    cpu_s: float
 
 
 def train(
@@ -120,7 +123,8 @@ def train(
     if trainer.is_global_zero:
         save_weights(place / WEIGHTS, module.network, info)
     pairs = pairs_done(recipe.stages, recipe.steps)
-    return TrainedRun(place / WEIGHTS, metrics, pairs, info.parameters)
+    spent = max((row.get("cpu_s", 0.0) for row in read_log(place / LOG)), default=0.0)
+    return TrainedRun(place / WEIGHTS, metrics, pairs, info.parameters, spent)
 
 
 def _begin(recipe: Recipe, folder: Path, resume: bool) -> Path | None:
