@@ -8,7 +8,7 @@ from sonosweep.estimators.cnn import CNN
 from sonosweep.estimators.network import FrameShape
 from sonosweep.estimators.network_names import NETWORKS, build_network
 
-LARGEST_COMPACT = 2_400_000  # weights of 4 bytes that make a file below 10 MB
+LARGEST_COMPACT = 4_800_000  # weights of 2 bytes that make a file below 10 MB
 
 
 @pytest.mark.parametrize("name", NETWORKS)

@@ -50,8 +50,9 @@ class MoGLoOptions:
         stem_stride: Of the first convolution: 2 with a block that halves after it (code);
             4, which saves most of encoder block 1; or 8, with which E1, E2 and E3 have half
             as many rows and columns.
-        halve: Whether encoder blocks 3 and 4 halve the map after the convolutions (code)
-            or before, which saves most of them.
+        halve: Whether encoder block 3 halves the map after the convolutions (code) or
+            before, which saves most of them. Block 4 halves it after them in any case: the
+            maximum over regions would be taken of correlations that nothing has read yet.
         hidden: Units of each LSTM; 512 in the code, not said in the paper.
         projection: Units of a layer that sees all places of L and G, before each LSTM; 0
             for the mean over places (code; the paper does not say).
@@ -145,7 +146,7 @@ COMPACT = MoGLoOptions(
     stem_stride=8,
     halve="before",
     hidden=128,
-    projection=32,
+    projection=128,
     geometry=CorrelationGeometry(radius=2),
 )
 """Trains on a CPU and runs on one, at 256 x 256 pixels; of 128 x 128 choose a stem of 4."""
@@ -183,7 +184,7 @@ class MoGLo(RecurrentNetwork):
         )
         self.volume_norm = nn.BatchNorm2d(volume) if volume and o.zero_mean else nn.Identity()
         self.encoder_4 = nn.Sequential(
-            residual_stage(4 * w + volume, 8 * w, o.blocks[3], o.halve),
+            residual_stage(4 * w + volume, 8 * w, o.blocks[3], "after"),
             nn.AdaptiveAvgPool2d(SIZE),
         )
         if o.attention:
