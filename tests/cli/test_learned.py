@@ -78,7 +78,7 @@ def test_info_describes_weights(run, weights):
         (("--poses", "tracked"), "--estimator is for estimating"),
         (("--maps",), "network 'cnn' has no maps to show"),
         (("--pixel-spacing", "0.1", "0.1"), "is 8.0 mm wide"),
-        (("--pixel-spacing", "0.4", "0.4"), "too coarse"),
+        (("--pixel-spacing", "0.7", "0.7"), "too coarse"),
         (("--device", "abacus"), "abacus"),
     ],
 )

@@ -327,8 +327,8 @@ REFUSALS = {
         speckle(4, columns=32)
     ),
     r"is 9\.6 mm deep": lambda: scan_of(speckle(4, rows=32)),
-    r"lateral pixels of 'noise' are 0\.6 mm, too coarse": lambda: scan_of(
-        speckle(4), (0.6, SPACING_MM)
+    r"lateral pixels of 'noise' are 0\.8 mm, too coarse": lambda: scan_of(
+        speckle(4), (0.8, SPACING_MM)
     ),
     "has 1 frames, and network 'cnn' needs 2": lambda: scan_of(speckle(1)),
     "8-bit": lambda: scan_of(speckle(4).astype(np.float32)),
@@ -403,3 +403,13 @@ def test_shipped_weights_load(name):
 
     assert estimator.info.network in name
     assert shipped_weights()[name].stat().st_size < 10e6
+
+
+def test_coarse_pixels_are_read_with_a_warning(tmp_path):
+    """Up to 1.5 times those of the weights nothing is said; beyond, a guess is called one."""
+    estimator = LearnedEstimator(tiny_weights(tmp_path), "fp32", "cpu")
+    fine = estimator.estimate(scan_of(speckle(4), (1.5 * SPACING_MM, SPACING_MM)))
+    coarse = estimator.estimate(scan_of(speckle(4), (2.0 * SPACING_MM, SPACING_MM)))
+
+    assert not any("hardly more than a guess" in words for words in fine.assumptions)
+    assert any("hardly more than a guess" in words for words in coarse.assumptions)

@@ -18,7 +18,7 @@ SMALL: Mapping[str, Mapping[str, Any]] = {
     "cnn": {"width": 8, "hidden": 8},
     "dcl": {"size": {"width": 4, "cardinality": 2}},
     "lstm": {"width": 4, "hidden": 8},
-    "moglo": {"width": 8, "hidden": 8, "projection": 8},
+    "moglo": {"width": 8, "hidden": 8, "projection": 8, "stem_stride": 4},
 }
 
 

@@ -11,8 +11,9 @@ view. A scan is brought to these by one rule:
 - Where it is smaller, it is stretched if it has at least 85 % of what the network saw, and
   refused otherwise. Nothing is padded: an edge would move with the probe. Motions are
   corrected for the stretch.
-- Pixels of another size are resampled. Those more than 1.5 times as large are refused: the
-  speckle that the network reads is not in them.
+- Pixels of another size are resampled. Those more than 1.5 times as large are noted, and
+  those more than 2.5 times as large refused: the speckle that the network reads is hardly,
+  or not at all, in them.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +28,7 @@ from sonosweep.estimators.weights import WeightsInfo
 from sonosweep.scan import FrameView, Scan, crop_scan, pixel_to_image
 
 SMALLEST_SHARE = 0.85  # of the field of view that a network knows
-LARGEST_PIXEL = 1.5  # times the one that it knows
+COARSE_PIXEL, LARGEST_PIXEL = 1.5, 2.5  # times the one that it knows
 SECTOR_SHARES = (1.0, 0.95, 0.9, 0.85)  # tried in this order
 
 Rectangle = tuple[int, int, int, int]
@@ -81,7 +82,7 @@ def fit_scan(scan: Scan, info: WeightsInfo) -> FittedScan:
         center_mm=(x, y),
         stretch=(cut_mm[0] / size_mm[0], cut_mm[1] / size_mm[1]),
         spacing_mm=(cut_mm[0] / info.input.columns, cut_mm[1] / info.input.rows),
-        notes=_notes(scan, rectangle, cut_mm, size_mm),
+        notes=(*_notes(scan, rectangle, cut_mm, size_mm), *_coarse(spacing, info)),
     )
 
 
@@ -96,6 +97,17 @@ def _refuse_coarse(name: str, spacing_mm: tuple[float, float], info: WeightsInfo
                 f"{axis} pixels of '{name}' are {here:.3g} mm, too coarse for weights that were"
                 f" trained at {known:.3g} mm; {LARGEST_PIXEL * known:.3g} mm is the most"
             )
+
+
+def _coarse(spacing_mm: tuple[float, float], info: WeightsInfo) -> tuple[str, ...]:
+    """Return what to say about pixels that are large, but not too large."""
+    if all(here <= COARSE_PIXEL * k for here, k in zip(spacing_mm, info.spacing_mm, strict=True)):
+        return ()
+    return (
+        f"Pixels of {spacing_mm[0]:.3g} x {spacing_mm[1]:.3g} mm are coarse for weights that were"
+        f" trained at {info.spacing_mm[0]:.3g} x {info.spacing_mm[1]:.3g} mm: what the network says"
+        " is hardly more than a guess.",
+    )
 
 
 def _rectangle(scan: Scan, info: WeightsInfo) -> Rectangle:
