@@ -32,6 +32,18 @@ from sonosweep.geometry import (
 from sonosweep.metrics import TrajectoryMetrics
 from sonosweep.scan import Scan, Trajectory, locate_image
 
+HEAD = """# Real recordings
+
+`python benchmarks/real_sweeps.py FOLDER_OF_RECORDINGS`
+
+Two tracked in-vivo sweeps, one of a bone and one of a liver, against their trackers; one sweep
+each, so there are no intervals. Oracles use the tracker's own poses and are no methods.
+"""
+NETWORKS = """
+The networks learned from simulated sweeps alone; nothing was tuned on these recordings. They
+were told the way the probe swept, as decorrelation was.
+"""
+
 # The way each probe swept, as its operator would say it.
 SWEEPS = {
     "bone": ("plus_bone_l14/BoneUltrasound_L14.igs.mha", "BoneUltrasound_L14_config.xml", 1),
@@ -57,8 +69,10 @@ def main(recordings: Path, weights: list[str]) -> None:
                 refused.append(f"- {name}, {method}: {error}")
                 continue
             learned.append(row_of(name, method, compare_trajectories(trajectory, scan).metrics))
+    print(HEAD)
     print(markdown_table(plain))
     if learned:
+        print(NETWORKS)
         print(markdown_table(learned))
     if refused:
         print("\n".join(("Not estimated:", "", *refused)))
