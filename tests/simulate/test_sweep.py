@@ -209,7 +209,7 @@ def test_what_cannot_be_simulated_is_refused(body: Body) -> None:
     with pytest.raises(ScanError, match=r"a probe is 'linear' or 'convex', got 'round'"):
         draw_sweep(900001, 0, probe="round")
     with pytest.raises(ScanError, match=r"a scanner is 'research' or 'clinical', got 'toy'"):
-        draw_sweep(900001, 0, scanner="toy")  # type: ignore[arg-type]  # not a kind
+        draw_sweep(900001, 0, scanner="toy")
 
 
 def test_drawn_sweeps_differ_within_their_ranges() -> None:

@@ -78,7 +78,7 @@ def draw_sweep(
     pixels: tuple[int, int] | None = None,
     modalities: tuple[str, ...] = (),
     tracker: TrackerSettings | None = None,
-    scanner: ScannerKind = "clinical",
+    scanner: str = "clinical",
 ) -> SweepSettings:
     """Return the settings of one scan; the same numbers give the same settings.
 
