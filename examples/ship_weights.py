@@ -9,6 +9,7 @@ the network did in the test, which goes into both files.
 
 import csv
 import sys
+import tomllib
 from pathlib import Path
 
 import torch
@@ -53,23 +54,14 @@ def main(table: Path, folder: Path, runs: list[str]) -> None:
 
 def test_metrics(rows: list[dict[str, str]], info: WeightsInfo) -> dict[str, float]:
     """Return the mean over the test sweeps of what is told."""
-    own = [
-        row
-        for row in rows
-        if row["method"] == info.network and row["run"] == f"seed {seed_of(info)}"
-    ]
+    run = f"seed {tomllib.loads(info.recipe)['seed']}"
+    own = [row for row in rows if row["method"] == info.network and row["run"] == run]
     if not own:
-        raise SystemExit(f"the table has no rows of {info.network}, seed {seed_of(info)}")
+        raise SystemExit(f"the table has no rows of {info.network}, {run}")
     return {
         name: sum(float(row[column]) for row in own) / len(own)
         for name, (column, _) in TOLD.items()
     }
-
-
-def seed_of(info: WeightsInfo) -> str:
-    """Return the seed that the recipe names."""
-    lines = (line.partition("=") for line in info.recipe.splitlines())
-    return next(value.strip() for key, _, value in lines if key.strip() == "seed")
 
 
 def model_card(

@@ -1,7 +1,6 @@
 """One scan of a data set, made from its plan."""
 
-from sonosweep.scan import Scan
-from sonosweep.scan.select import select_frames
+from sonosweep.scan import Scan, select_frames
 from sonosweep.simulate.bodies import named_body
 from sonosweep.simulate.body import Body
 from sonosweep.simulate.datasets import PlannedScan
