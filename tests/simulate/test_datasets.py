@@ -194,6 +194,22 @@ def test_companions_can_be_added_to_a_data_set():
     assert {scan.modalities for scan in recipe.scans} == {("power_doppler", "photoacoustic", "iq")}
 
 
+def test_a_data_set_can_have_fewer_subjects_to_learn_from():
+    """The first ones, with the scans that they have in the whole set; other parts stay."""
+    whole = dataset_recipe("dataset1", "varied")
+    part = dataset_recipe("dataset1", "varied", subjects=3)
+
+    assert {scan.subject for scan in part.scans if scan.part == "train"} == {0, 1, 2}
+    assert [s for s in whole.scans if s.part != "train" or s.subject < 3] == list(part.scans)
+
+
+@pytest.mark.parametrize("count", [0, 91])
+def test_a_data_set_has_no_more_subjects_than_it_has(count):
+    """Nor none."""
+    with pytest.raises(ScanError, match=f"90 subjects for training.*got {count}"):
+        dataset_recipe("dataset1", "varied", subjects=count)
+
+
 def test_a_stretch_of_a_sweep_is_what_the_whole_sweep_has_there():
     """Frames, poses and times."""
     whole = replace(tiny_recipe().scans[0], stretch=None)

@@ -157,6 +157,19 @@ def test_amplitudes_are_shares_of_the_largest():
     np.testing.assert_allclose(frames[:, 0], (values / white).clip(0, 1), atol=2**-11)
 
 
+def test_iq_has_an_amplitude():
+    """Where no amplitude is stored, its size is taken."""
+    values = np.random.default_rng(1).normal(0, 2, (12, SIDE_PX, SIDE_PX, 2)).astype(np.float32)
+    settings = SETTINGS.model_copy(update={"channels": "amplitude"})
+
+    of_iq = training_scan(with_echoes("iq", values), settings).frames
+    stored = training_scan(
+        with_echoes("amplitude", np.hypot(values[..., 0], values[..., 1])), settings
+    ).frames
+
+    np.testing.assert_array_equal(of_iq[:], stored[:])
+
+
 def test_iq_comes_beside_b_mode():
     """Three channels: gray levels, and real and imaginary part about 0.5."""
     values = np.random.default_rng(1).normal(0, 2, (12, SIDE_PX, SIDE_PX, 2)).astype(np.float32)
@@ -183,7 +196,7 @@ def test_a_missing_channel_is_named():
     """A scan without amplitudes cannot give them."""
     settings = SETTINGS.model_copy(update={"channels": "amplitude"})
 
-    with pytest.raises(ScanError, match="need the companion 'amplitude', which 'scan0'"):
+    with pytest.raises(ScanError, match="need the companion 'amplitude' or 'iq', which 'scan0'"):
         training_scan(tiny_scan(0), settings)
 
 

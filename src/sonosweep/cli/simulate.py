@@ -72,12 +72,15 @@ class DatasetOptions:
             with a convex probe.
         size: As large as the paper's, small enough for a laptop, or as small with many subjects
             in short stretches to learn from.
+        subjects: Only so many of those for training, with the same scans; those for validation
+            and tests stay.
         layout: Of the files: ours, or that of the TUS-REC challenges.
         workers: Processes; as many as there are cores otherwise. The files are the same.
     """
 
     dataset: Literal["dataset1", "dataset2", "dataset3"] | None = None
     size: Literal["full", "small", "varied"] | None = None
+    subjects: Annotated[int | None, WHOLE] = None
     layout: Literal["hdf5", "tusrec"] | None = None
     workers: Annotated[int | None, WHOLE] = None
 
@@ -127,7 +130,9 @@ def _refuse_idle(sweep: SweepOptions | None, dataset: DatasetOptions | None) -> 
     from sonosweep.errors import ScanError
 
     if dataset is not None and dataset.dataset is None:
-        raise ScanError("--size, --layout and --workers are about a data set: give --dataset too")
+        raise ScanError(
+            "--size, --subjects, --layout and --workers are about a data set: give --dataset too"
+        )
     if dataset is not None and sweep is not None:
         raise ScanError(
             "a recipe says how the sweeps of a data set are: leave out the options of a single"

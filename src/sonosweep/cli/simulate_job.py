@@ -43,6 +43,7 @@ def run_dataset(
         recording.seed,
         scanner=recording.scanner,
         modalities=recording.modalities,
+        subjects=options.subjects,
     )
     with progress(f"{recipe.name}, frames") as show:
         made = make_dataset(

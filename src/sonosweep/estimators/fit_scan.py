@@ -23,7 +23,7 @@ import torch
 from jaxtyping import Bool
 
 from sonosweep.errors import ScanError
-from sonosweep.estimators.network_input import COMPANION, NetworkFrames, network_frames
+from sonosweep.estimators.network_input import NetworkFrames, echo_companion, network_frames
 from sonosweep.estimators.weights import WeightsInfo
 from sonosweep.scan import FrameView, Scan, crop_scan, pixel_to_image
 
@@ -161,8 +161,8 @@ def _in_sector(
 def _cut(scan: Scan, rectangle: Rectangle, info: WeightsInfo) -> Scan:
     """Return the scan without what the network does not look at, companions included."""
     cut = crop_scan(scan, rectangle)
-    name = COMPANION.get(info.input.channels)
-    if name is None or name not in scan.companions:
+    name = echo_companion(scan, info.input.channels)
+    if name is None:
         return cut
     echoes = scan.companions[name]
     if echoes.frames.shape[1:3] != scan.frames.shape[1:3]:

@@ -22,7 +22,11 @@ from sonosweep.scan import Frames, FrameView, LazyFrames, Scan, crop_scan_center
 from sonosweep.scan.crop import resize_frame
 
 Channels = Literal["b_mode", "amplitude", "b_mode+iq", "lee"]
-COMPANION = {"amplitude": "amplitude", "b_mode+iq": "iq"}
+COMPANIONS: dict[Channels, tuple[str, ...]] = {
+    "amplitude": ("amplitude", "iq"),
+    "b_mode+iq": ("iq",),
+}
+"""Of each channel the companions it can be made of, the first one that is there."""
 ZEROS: dict[Channels, tuple[float | None, ...]] = {
     "b_mode": (None,),
     "amplitude": (0.0,),
@@ -41,8 +45,10 @@ class InputSettings(BaseModel):
         rows: Pixels along the axial axis; the whole depth is resized to them.
         columns: Pixels along the lateral axis.
         channels: ``"b_mode"``; ``"amplitude"``: before log compression (the paper's Log
-            ablation); ``"b_mode+iq"``: with real and imaginary part (IQ); ``"lee"``:
-            B-mode with less speckle (SP).
+            ablation), the size of the IQ data where no amplitude is stored;
+            ``"b_mode+iq"``: with real and imaginary part (the paper's IQ has the logarithm
+            of its size instead, which is B-mode before the gray map); ``"lee"``: B-mode with
+            less speckle (SP).
         crop_px: Columns and rows in the middle of the scan's frames to keep; the paper's
             data set 3 is cropped to 320 x 320.
     """
@@ -85,18 +91,25 @@ def network_frames(scan: Scan, settings: InputSettings) -> "NetworkFrames":
     gray = _gray(scan)
     if gray.frames.dtype != np.uint8:
         raise ScanError(f"a network reads 8-bit frames, those of '{scan.name}' are not")
-    if settings.channels not in COMPANION:
+    if settings.channels not in COMPANIONS:
         return NetworkFrames(gray.frames, None, 1.0, settings)
-    name = COMPANION[settings.channels]
-    if name not in scan.companions:
+    name = echo_companion(scan, settings.channels)
+    if name is None:
+        needed = "' or '".join(COMPANIONS[settings.channels])
         raise ScanError(
-            f"channels '{settings.channels}' need the companion '{name}', which '{scan.name}'"
-            " does not have"
+            f"channels '{settings.channels}' need the companion '{needed}', which"
+            f" '{scan.name}' does not have"
         )
     echoes = scan.companions[name].frames
     if echoes.shape[1:3] != gray.frames.shape[1:3]:
         raise ScanError(f"'{name}' of '{scan.name}' has other pixels than its B-mode frames")
     return NetworkFrames(gray.frames, echoes, _white(echoes, scan.name), settings)
+
+
+def echo_companion(scan: Scan, channels: Channels) -> str | None:
+    """Return which companion of a scan the channels are made of; ``None`` if none is."""
+    names = COMPANIONS.get(channels, ())
+    return next((name for name in names if name in scan.companions), None)
 
 
 class NetworkFrames(LazyFrames):
@@ -123,6 +136,8 @@ class NetworkFrames(LazyFrames):
                 gray = lee_filter_gray(gray)
             return self._sized(gray)[None]
         echoes = np.asarray(self._echoes[frame], dtype=np.float32) / self._white
+        if self._settings.channels == "amplitude" and echoes.ndim == 3:
+            echoes = np.hypot(echoes[..., 0], echoes[..., 1])
         sized = self._sized(echoes)
         if self._settings.channels == "amplitude":
             return sized.clip(0, 1).astype(np.float16)[None]

@@ -155,6 +155,7 @@ def dataset_recipe(
     *,
     scanner: ScannerKind | None = None,
     modalities: tuple[str, ...] = (),
+    subjects: int | None = None,
 ) -> DatasetRecipe:
     """Return the recipe of a data set.
 
@@ -167,6 +168,8 @@ def dataset_recipe(
         seed: From 0 to 99.
         scanner: The kind of all scans; ``None`` leaves that of the data set.
         modalities: Companions beside those that the data set has.
+        subjects: Only the first so many of the subjects for training, with the same scans;
+            those for validation and tests stay. ``None`` leaves all.
 
     Raises:
         ScanError: If there is no such recipe.
@@ -183,6 +186,8 @@ def dataset_recipe(
         scans = [_cut(scan) for scan in scans if scan.part != "validation" or scan.scan == 0]
     if scanner is not None:
         scans = [replace(scan, scanner=scanner) for scan in scans]
+    if subjects is not None:
+        scans = _first_subjects(scans, subjects)
     wanted = [replace(s, modalities=_both(s.modalities, modalities)) for s in scans]
     return DatasetRecipe(name, size, seed, tuple(wanted))
 
@@ -195,6 +200,17 @@ def _subjects(seed: int, sizes: Parts) -> list[tuple[int, Part]]:
         first = seed * SUBJECTS_PER_SEED + (FIRST_TEST_SUBJECT if part == "test" else 0)
         subjects += [(first + len(subjects) + k, part) for k in range(count)]
     return subjects
+
+
+def _first_subjects(scans: list[PlannedScan], count: int) -> list[PlannedScan]:
+    """Return the scans without those of further subjects for training."""
+    found = list(dict.fromkeys(scan.subject for scan in scans if scan.part == "train"))
+    if not 1 <= count <= len(found):
+        raise ScanError(
+            f"the data set has {len(found)} subjects for training: choose from 1 to {len(found)}"
+            f" of them, got {count}"
+        )
+    return [s for s in scans if s.part != "train" or s.subject in found[:count]]
 
 
 def _both(modalities: tuple[str, ...], more: tuple[str, ...]) -> tuple[str, ...]:

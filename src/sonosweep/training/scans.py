@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sonosweep.errors import ScanError
 from sonosweep.estimators.network_input import (
-    COMPANION,
+    COMPANIONS,
     InputSettings,
     center_mm,
     center_poses,
@@ -280,8 +280,7 @@ def _plans(data: SimulatedData, seed: int, part: str) -> list[PlannedScan]:
 
 
 def _simulated(plan: PlannedScan, settings: InputSettings) -> TrainingScan:
-    wanted = COMPANION.get(settings.channels)
-    plan = replace(plan, modalities=() if wanted is None else (wanted,))
+    plan = replace(plan, modalities=COMPANIONS.get(settings.channels, ())[:1])
     if settings.crop_px is None:
         plan = replace(plan, pixels=(settings.columns, settings.rows))
     return training_scan(simulate_planned(plan, planned_body(plan)), settings)
