@@ -201,6 +201,24 @@ def test_networks_are_named_by_the_fields_in_which_they_differ(tmp_path):
     assert names == ["cnn, pairs 10, attention True", "cnn, pairs 20, attention False"]
 
 
+def test_rows_can_be_named(tmp_path):
+    """One name for the trainings of one recipe, which the page still tells."""
+    files = []
+    for k, recipe in enumerate(("seed = 0\nl1 = 1", "seed = 1\nl1 = 1", "seed = 0\nl1 = 2")):
+        (tmp_path / str(k)).mkdir()
+        files.append(str(tiny_weights(tmp_path / str(k), recipe=recipe)))
+
+    found = trained_networks([f"L, M={files[0]}", f"L, M={files[1]}", files[2]])
+
+    assert [network.method.name for network in found] == ["L, M", "L, M", "cnn, l1 2"]
+    assert [network.differs for network in found] == ["l1 1", "l1 1", "l1 2"]
+    with pytest.raises(ScanError, match="different recipes are called 'L'"):
+        trained_networks([f"L={files[0]}", f"L={files[2]}"])
+    (tmp_path / "a=b").mkdir()
+    inside = str(tiny_weights(tmp_path / "a=b", recipe="seed = 0"))
+    assert trained_networks([inside])[0].method.name == "cnn"
+
+
 def test_weights_given_twice_or_not_there_are_refused(tmp_path):
     """One sentence each."""
     file = str(tiny_weights(tmp_path))

@@ -27,7 +27,8 @@ class BenchmarkOptions:
         dataset: Folder that `simulate --dataset` made.
         part: Scans of the data set to evaluate on.
         weights: Trained networks: names of shipped weights, .safetensors files, or folders of
-            training runs. Those that differ in the seed alone share a row.
+            training runs. Those that differ in the seed alone share a row; NAME=WEIGHTS
+            names it.
         baselines: Methods without a network to compare with: all; quick, without speckle
             decorrelation; or none. What they learn they learn from the training scans.
         scans: Only the first so many.

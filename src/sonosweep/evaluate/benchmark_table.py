@@ -154,6 +154,7 @@ def _networks_table(networks: Sequence[TrainedNetwork]) -> str:
                 "reads": f"{info.input.columns} x {info.input.rows}, {info.input.channels}",
                 "window": info.window,
                 "recipe": recipe_digest(info),
+                **({"differs in": network.differs} if network.differs else {}),
                 "data": info.data[:12],
                 "trained": info.made,
                 "trainings": "",

@@ -23,40 +23,55 @@ class TrainedNetwork:
     Attributes:
         method: Of the benchmark.
         info: What its file says about it.
+        differs: Fields of its recipe, with values, that others of this network have otherwise.
     """
 
     method: Network
     info: WeightsInfo
+    differs: str = ""
 
 
 def trained_networks(weights: Sequence[str], direction: int = 1) -> list[TrainedNetwork]:
     """Return the networks of these weights, with names that tell them apart.
 
     Weights whose recipes differ in nothing but the seed are trainings of one network and
-    share a name: that of the network, followed by the fields of the recipe in which it
-    differs from the others of that network.
+    share a name: the given one, or that of the network, followed by the fields of the recipe
+    in which it differs from the others of that network.
 
     Args:
-        weights: Names of shipped weights, files, or folders of training runs.
+        weights: Names of shipped weights, files, or folders of training runs; each with a
+            name for the table before it if one is wanted, as in ``G, C=runs/ablation1/GC``.
         direction: -1 if the probe sweeps the other way than it did in training.
 
     Raises:
         FormatError: If there are no such weights, or they are damaged.
-        ScanError: If two are of the same recipe and seed.
+        ScanError: If two are of the same recipe and seed, or of one name and two recipes.
     """
-    files = [find_weights(name) for name in weights]
+    given = [_given_name(text) for text in weights]
+    files = [find_weights(text) for _, text in given]
     infos = [read_weights_info(file) for file in files]
     recipes = [_recipe(file, info) for file, info in zip(files, infos, strict=True)]
     found: dict[tuple[str, str], TrainedNetwork] = {}
-    for file, info, recipe in zip(files, infos, recipes, strict=True):
+    meant: dict[str, str] = {}
+    for (own, _), file, info, recipe in zip(given, files, infos, recipes, strict=True):
         rivals = [r for i, r in zip(infos, recipes, strict=True) if i.network == info.network]
-        name = ", ".join((info.network, *_differing(recipe, rivals)))
+        differs = _differing(recipe, rivals)
+        name = own or ", ".join((info.network, *differs))
+        if meant.setdefault(name, recipe_digest(info)) != recipe_digest(info):
+            raise ScanError(f"weights of different recipes are called '{name}': name them apart")
         key = (name, f"seed {recipe.get('seed', '?')}")
         if key in found:
             other = found[key].method.weights
             raise ScanError(f"'{file}' and '{other}' are of one recipe and seed: give one of them")
-        found[key] = TrainedNetwork(Network(name, file, key[1], direction), info)
+        method = Network(name, file, key[1], direction)
+        found[key] = TrainedNetwork(method, info, ", ".join(differs))
     return list(found.values())
+
+
+def _given_name(text: str) -> tuple[str, str]:
+    """Return the name before weights, or none, and the weights."""
+    name, sign, weights = text.partition("=")
+    return (name.strip(), weights) if sign and not Path(text).exists() else ("", text)
 
 
 def recipe_digest(info: WeightsInfo) -> str:
