@@ -29,7 +29,6 @@ def main(table: Path) -> None:
     with table.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     print(markdown_table([_ours(name, rows) for name in NETWORKS]))
-    print()
     paper = PAPER_TABLES["dataset1"].rows
     printed = {name.lower(): dict(zip(COLUMNS, paper[name], strict=True)) for name in paper}
     chosen = ("rAE", "rFE", "FDR")

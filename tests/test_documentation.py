@@ -4,7 +4,9 @@ import doctest
 import importlib
 import pkgutil
 import re
+import runpy
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -46,3 +48,15 @@ def test_commands_in_pages(page):
     for line in commands(page):
         words = shlex.split(line, comments=True)[1:]
         app.parse_args(words, exit_on_error=False, print_error=False)
+
+
+def test_the_table_of_networks_is_what_its_script_prints(monkeypatch, capsys):
+    """Size, speed and errors of the shipped networks, and apart from them the paper's."""
+    monkeypatch.setattr(sys, "argv", ["", str(ROOT / "docs/results/table1.csv")])
+    runpy.run_path(str(ROOT / "benchmarks/network_table.py"), run_name="__main__")
+
+    page = (ROOT / "docs/estimators.md").read_text()
+    ours, papers = capsys.readouterr().out.strip().split("\n\n")
+
+    assert ours in page
+    assert papers in page
