@@ -9,7 +9,6 @@ the network did in the test, which goes into both files.
 
 import csv
 import sys
-import tomllib
 from pathlib import Path
 
 import torch
@@ -17,6 +16,7 @@ import torch
 from sonosweep.estimators.network_names import NETWORKS
 from sonosweep.estimators.shipped import find_weights
 from sonosweep.estimators.weights import WeightsInfo, load_weights, save_weights
+from sonosweep.evaluate.methods import Network
 from sonosweep.io.atomic import write_beside
 
 TOLD = {
@@ -41,7 +41,7 @@ def main(table: Path, folder: Path, runs: list[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for run in runs:
         network, info = load_weights(find_weights(run))
-        tested = test_metrics(rows, info)
+        tested = test_metrics(rows, run)
         metrics = {**info.metrics, **{f"test_{name}": value for name, value in tested.items()}}
         for parameter in network.parameters():
             if parameter.ndim > 1:
@@ -52,12 +52,12 @@ def main(table: Path, folder: Path, runs: list[str]) -> None:
             temporary.write_text(model_card(info, tested, rows, table), encoding="utf-8")
 
 
-def test_metrics(rows: list[dict[str, str]], info: WeightsInfo) -> dict[str, float]:
-    """Return the mean over the test sweeps of what is told."""
-    run = f"seed {tomllib.loads(info.recipe)['seed']}"
-    own = [row for row in rows if row["method"] == info.network and row["run"] == run]
+def test_metrics(rows: list[dict[str, str]], run: str) -> dict[str, float]:
+    """Return the mean over the test sweeps of what is told of the weights of a run."""
+    weights = Network(run, find_weights(run)).origin["weights"]
+    own = [row for row in rows if row["weights"] == weights]
     if not own:
-        raise SystemExit(f"the table has no rows of {info.network}, {run}")
+        raise SystemExit(f"the table has no rows of the weights of '{run}'")
     return {
         name: sum(float(row[column]) for row in own) / len(own)
         for name, (column, _) in TOLD.items()

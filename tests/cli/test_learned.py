@@ -148,7 +148,7 @@ def _rewritten(path, change_tensors=lambda tensors: None, change_facts=lambda fa
     facts = json.loads(metadata[KEY])
     change_tensors(tensors)
     change_facts(facts)
-    del metadata[DIGEST]  # what is wrong here was wrong from the start
+    del metadata[DIGEST], metadata[INFO_DIGEST]  # what is wrong here was wrong from the start
     save_file(tensors, path, metadata | {KEY: json.dumps(facts)})
 
 

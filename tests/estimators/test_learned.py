@@ -20,7 +20,12 @@ from sonosweep.estimators.network import (
     Stepper,
     WindowNetwork,
 )
-from sonosweep.estimators.network_input import image_steps
+from sonosweep.estimators.network_input import (
+    InputSettings,
+    center_mm,
+    image_steps,
+    network_frames,
+)
 from sonosweep.estimators.network_names import NETWORKS
 from sonosweep.estimators.shipped import find_weights, shipped_weights
 from sonosweep.geometry import motion_from_step, step_from_motion
@@ -413,3 +418,54 @@ def test_coarse_pixels_are_read_with_a_warning(tmp_path):
 
     assert not any("hardly more than a guess" in words for words in fine.assumptions)
     assert any("hardly more than a guess" in words for words in coarse.assumptions)
+
+
+def sector_mask(rows: int, columns: int) -> np.ndarray:
+    """A sector whose sides run from a third of the width at the top to all of it."""
+    half = np.linspace(columns / 5, columns / 2 - 2, rows)[:, None]
+    mask = np.abs(np.arange(columns) - (columns - 1) / 2)[None] <= half
+    mask[:2] = False
+    return mask
+
+
+@pytest.mark.parametrize("masked", [True, False])
+def test_weights_trained_on_the_middle_of_frames_are_used_on_it(masked):
+    """The pixels that training saw, also of a sector with room nearer to the probe."""
+    frames = speckle(3, 120, 160)
+    mask = sector_mask(120, 160)
+    region = Region((0, 0, 160, 120), mask if masked else None)
+    settings = InputSettings(rows=SIDE, columns=SIDE, crop_px=(86, 80))
+    scan = scan_of(frames, region=region)
+    spacing = (SPACING_MM * 86 / SIDE, SPACING_MM * 80 / SIDE)
+    info = tiny_info(input=settings, spacing_mm=spacing)
+
+    fitted = fit_scan(scan, info)
+
+    assert np.array_equal(fitted.frames[:], network_frames(scan, settings)[:])
+    assert fitted.center_mm == center_mm(scan)
+    assert 0.95 < mask[20:100, 37:123].mean() < 1  # a corner sticks out
+
+
+def test_a_crop_that_leaves_the_sector_is_replaced():
+    """By the highest rectangle within it."""
+    mask = sector_mask(120, 160)
+    mask[60:] = False  # the middle of the frame is no longer image
+    scan = scan_of(speckle(3, 120, 160), region=Region((0, 2, 160, 58), mask))
+    settings = InputSettings(rows=SIDE, columns=SIDE, crop_px=(40, 40))
+    info = tiny_info(input=settings, spacing_mm=(SPACING_MM * 40 / SIDE,) * 2)
+
+    fitted = fit_scan(scan, info)
+
+    assert fitted.center_mm[1] < 45 * SPACING_MM
+    assert "40 x 40 pixels from column 60" in fitted.notes[0]
+
+
+def test_frames_of_the_size_that_training_saw_are_read_whole():
+    """Also where part of them seems to be no image, as training did."""
+    frames = speckle(3)
+    scan = scan_of(frames, region=Region((2, 0, SIDE - 5, SIDE), None))
+
+    fitted = fit_scan(scan, tiny_info())
+
+    assert np.array_equal(fitted.frames[:][:, 0], frames)
+    assert fitted.stretch == (1.0, 1.0)

@@ -1,5 +1,6 @@
 """Files of weights: they come back, and what is no such file is said so in one sentence."""
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -54,7 +55,9 @@ def rewritten(path: Path, **changes: object) -> Path:
         metadata = file.metadata()
     facts = json.loads(metadata["sonosweep"]) | changes
     kept = {name: value for name, value in facts.items() if value is not None}
-    save_file(tensors, path, metadata | {"sonosweep": json.dumps(kept)})
+    said = json.dumps(kept)
+    digest = hashlib.sha256(said.encode()).hexdigest()
+    save_file(tensors, path, metadata | {"sonosweep": said, "sonosweep_sha256": digest})
     return path
 
 
@@ -70,6 +73,16 @@ def test_weights_come_back(path):
     assert read_weights_info(path) == INFO
     assert not loaded.training
     assert torch.equal(loaded(frames).motion, network(frames).motion)
+
+
+def test_a_changed_digit_of_what_is_said_is_noticed(path):
+    """A scale that is nine times too large would be a silent wrong answer."""
+    content = path.read_bytes()
+    assert content.count(b'"motion_scale\\":[0.1,') == 1
+    path.write_bytes(content.replace(b'"motion_scale\\":[0.1,', b'"motion_scale\\":[0.9,'))
+
+    with pytest.raises(FormatError, match="is damaged: what it says is not what was written"):
+        load_weights(path)
 
 
 def test_any_cut_of_a_file_is_refused(path):

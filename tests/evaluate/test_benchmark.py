@@ -15,6 +15,7 @@ from sonosweep.estimators.network_input import center_mm, center_poses
 from sonosweep.evaluate import benchmark
 from sonosweep.evaluate.baselines import (
     decorrelation_baselines,
+    longest_of_subjects,
     mean_curve,
     mean_motion,
     quick_baselines,
@@ -285,6 +286,32 @@ def test_a_network_is_one_of_the_methods(tmp_path):
     assert forward == pytest.approx(backward)
     assert rows[0]["final_drift_mm"] != pytest.approx(rows[1]["final_drift_mm"])
     assert rows[0]["direction_agrees"] is not rows[1]["direction_agrees"]
+
+
+def test_changed_code_answers_again(tmp_path, monkeypatch):
+    """An answer of the code as it was before is no answer of the code as it is."""
+    write_scan(scan_of(*[1.0] * 4), tmp_path / "steady.h5")
+    given = ([tmp_path / "steady.h5"], [NoMotion()], tmp_path / "kept")
+    run_benchmark(*given, simulated=False)
+    run_benchmark(*given, simulated=False)
+    assert len(list((tmp_path / "kept").iterdir())) == 1
+
+    monkeypatch.setattr("sonosweep.evaluate.methods.source_digest", lambda *_: "changed")
+    run_benchmark(*given, simulated=False)
+
+    assert len(list((tmp_path / "kept").iterdir())) == 2
+
+
+def test_the_longest_scans_of_different_subjects_teach(tmp_path):
+    """Not short stretches where there are whole sweeps."""
+    lengths = {"a": 3, "b": 9, "c": 5}
+    for name, steps in lengths.items():
+        subject = {"c": "second"}.get(name, "first")
+        write_scan(replace(scan_of(*[1.0] * steps), subject=subject), tmp_path / f"{name}.h5")
+
+    found = longest_of_subjects([tmp_path / f"{name}.h5" for name in lengths])
+
+    assert [path.stem for path in found] == ["b", "c"]
 
 
 def test_what_training_scans_teach_the_decorrelation_estimator(tmp_path):

@@ -138,6 +138,18 @@ def test_triplet_is_the_mean_over_all_triplets():
     assert float(loss) == pytest.approx(plain_triplet(embedding, true, 0.1), abs=1e-5)
 
 
+def test_triplet_is_not_rounded_in_half_precision():
+    """Motions whose cosines differ by less than 0.4 % still have an order."""
+    draw = torch.Generator().manual_seed(4)
+    embedding = torch.randn(8, 9, generator=draw)
+    true = torch.tensor([1.0, 0, 0, 0, 0, 0]) + 0.05 * torch.randn(8, 6, generator=draw)
+
+    with torch.autocast("cpu", torch.bfloat16):
+        loss = triplet_loss(embedding, true, 0.1)
+
+    assert float(loss) == pytest.approx(plain_triplet(embedding, true, 0.1), abs=1e-5)
+
+
 def test_triplet_of_three():
     """Two like motions 3 apart and an unlike one between them, 1 from the first.
 

@@ -38,6 +38,8 @@ def test_a_network_and_data_are_enough(tmp_path):
         ('[network]\nname = "moglo"\n[data]\ntrain = ["a"]\n', "train and validation go together"),
         ("stages = []\n" + SMALLEST, "stages in "),
         ("stages = [{pairs = 5, window = 1}]\n" + SMALLEST, "stages.0.window in "),
+        ("stages = [{pairs = 5, strides = [0]}]\n" + SMALLEST, "stages.0.strides.0 in "),
+        ("optimizer = {betas = [1.5, 0.9]}\n" + SMALLEST, "optimizer.betas.0 in "),
     ],
 )
 def test_what_a_recipe_must_not_hold_is_named(tmp_path, text, message):

@@ -12,13 +12,20 @@ import pytest
 import torch
 
 from sonosweep.cli.main import main
-from sonosweep.errors import RecipeError, TrainingError
+from sonosweep.errors import FormatError, RecipeError, ScanError, TrainingError
 from sonosweep.estimators.weights import load_weights
 from sonosweep.training.recipe import recipe_from_text, recipe_text
 from sonosweep.training.run import train
 from sonosweep.training.scans import open_data
 from sonosweep.training.sequences import motion_statistics
-from tests.training.tiny import build, telling_files, tiny_files, tiny_recipe
+from tests.training.tiny import (
+    build,
+    telling_files,
+    tiny_files,
+    tiny_recipe,
+    tiny_scan,
+    write_files,
+)
 
 PAIRS = 2 * 24
 ROUND_OFF = 1e-6  # float32: gradients summed in another order, for ten steps
@@ -200,6 +207,51 @@ def test_a_loss_that_is_no_number_stops_the_run(files, tmp_path, infinite_slope,
     checkpoint = torch.load(tmp_path / "checkpoint.ckpt", weights_only=True)
     assert checkpoint["global_step"] == 7
     assert bool(checkpoint["state_dict"]["network.weight"].isfinite().all())
+
+
+def test_a_new_run_leaves_nothing_of_the_one_before(files, tmp_path):
+    """Weights of the old recipe beside the new one would pass for the new run's."""
+    train(tiny_recipe(files), tmp_path, build=build, device="cpu")
+    before = (tmp_path / "recipe.toml").read_text()
+
+    with pytest.raises(Killed):
+        train(tiny_recipe(files, seed=5), tmp_path, build=build, device="cpu", progress=end_at(8))
+
+    assert (tmp_path / "recipe.toml").read_text() != before
+    assert not (tmp_path / "weights.safetensors").exists()
+
+
+def test_data_that_cannot_be_used_leave_no_run(files, tmp_path):
+    """Nor do they harm the one that is there."""
+    absent = str(tmp_path / "absent.h5")
+    data = {"train": [absent], "validation": files[2:]}
+
+    with pytest.raises(FormatError, match="absent"):
+        train(tiny_recipe(files, data=data), tmp_path / "run", build=build, device="cpu")
+
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("train_frames", "validation_frames", "message"),
+    [
+        (4, 12, "'scan0' has no 5 tracked frames in a row: shorten the window"),
+        (12, 1, "'scan1' has no two tracked frames in a row to measure on"),
+    ],
+)
+def test_short_scans_are_refused_at_the_start(tmp_path, train_frames, validation_frames, message):
+    """Before the first stage, and not when the last one comes to them."""
+    paths = write_files(tmp_path, [tiny_scan(0, train_frames), tiny_scan(1, validation_frames)])
+    stages = [{"pairs": 8, "window": 2, "batch": 2}, {"pairs": 8, "window": 5, "batch": 2}]
+    data = {"train": paths[:1], "validation": paths[1:]}
+
+    with pytest.raises(ScanError, match=message):
+        train(
+            tiny_recipe(paths, data=data, stages=stages),
+            tmp_path / "run",
+            build=build,
+            device="cpu",
+        )
 
 
 def test_short_memory_says_which_knob(files, tmp_path, monkeypatch):

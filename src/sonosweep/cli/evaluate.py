@@ -30,7 +30,8 @@ class BenchmarkOptions:
             training runs. Those that differ in the seed alone share a row; NAME=WEIGHTS
             names it.
         baselines: Methods without a network to compare with: all; quick, without speckle
-            decorrelation; or none. What they learn they learn from the training scans.
+            decorrelation; or none. What they learn they learn from the training scans, the
+            decorrelation estimator also from those for validation.
         scans: Only the first so many.
         against: Method that every other one is compared with, scan by scan; moglo otherwise.
         paper: Table of the paper to print below; that of the data set otherwise.

@@ -3,7 +3,6 @@
 import os
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from sonosweep.errors import FormatError
 from sonosweep.evaluate.baselines import decorrelation_baselines, quick_baselines
 from sonosweep.evaluate.benchmark import run_benchmark
 from sonosweep.evaluate.benchmark_table import benchmark_page, write_page
-from sonosweep.evaluate.dataset_scans import dataset_scans
+from sonosweep.evaluate.dataset_scans import DatasetScans, dataset_scans
 from sonosweep.evaluate.methods import Method
 from sonosweep.evaluate.paper_values import PaperTable
 from sonosweep.evaluate.trained import trained_networks
@@ -37,7 +36,7 @@ def run_evaluation(
     networks = trained_networks(options.weights)
     cache = options.cache or folder.resolve().parent / f"{folder.resolve().name}.results"
     methods = [
-        *_baselines(options.baselines or "all", data.training, cache),
+        *_baselines(options.baselines or "all", data, cache),
         *(network.method for network in networks),
     ]
     with progress("evaluating, frames") as show:
@@ -80,13 +79,14 @@ def _output_files(output: Path | None, force: bool) -> tuple[Path, Path] | None:
     return files
 
 
-def _baselines(which: str, training: Sequence[Path], cache: Path) -> list[Method]:
+def _baselines(which: str, data: DatasetScans, cache: Path) -> list[Method]:
     if which == "none":
         return []
+    quick = quick_baselines(data.training)
     if which == "quick":
-        return quick_baselines(training)
+        return quick
     with progress("calibrating the decorrelation estimator, scans") as show:
-        return quick_baselines(training) + decorrelation_baselines(training, cache, show)
+        return quick + decorrelation_baselines(data.teaching, cache, show)
 
 
 def _command() -> str:

@@ -3,11 +3,14 @@
 A network has learned how fast speckle changes in pixels of one size and over one field of
 view. A scan is brought to these by one rule:
 
-- Its field of view is that of its region: the whole frame, or the part that holds the image.
-- Where it is larger, the middle is taken laterally, and the part nearest to the probe axially
-  (the middle there too, if the network was trained on the middle of frames). Of a sector,
-  which no network sees whole, a rectangle that lies within it is taken, as near to the probe
-  as it can be.
+- What training would have taken comes first: the middle of the frame, if the network was
+  trained on the middle of frames (``crop_px``) and it holds the image; the whole frame, if
+  its size is the one that the network knows and it is no sector.
+- Otherwise the field of view is that of the scan's region: the whole frame, or the part that
+  holds the image. Where it is larger, the middle is taken laterally, and the part nearest to
+  the probe axially (the middle there too, after training on the middle). Of a sector, which
+  no network sees whole, a rectangle that lies within it is taken, as near to the probe as it
+  can be.
 - Where it is smaller, it is stretched if it has at least 85 % of what the network saw, and
   refused otherwise. Nothing is padded: an edge would move with the probe. Motions are
   corrected for the stretch.
@@ -30,6 +33,8 @@ from sonosweep.scan import FrameView, Scan, crop_scan, pixel_to_image
 SMALLEST_SHARE = 0.85  # of the field of view that a network knows
 COARSE_PIXEL, LARGEST_PIXEL = 1.5, 2.5  # times the one that it knows
 SECTOR_SHARES = (1.0, 0.95, 0.9, 0.85)  # tried in this order
+SAME_SIZE = 0.02  # by which fields of view may differ that count as the same
+HELD_SHARE = 0.95  # of a crop of the middle that must lie within the image
 
 Rectangle = tuple[int, int, int, int]
 
@@ -117,6 +122,9 @@ def _rectangle(scan: Scan, info: WeightsInfo) -> Rectangle:
     rows, columns = scan.frames.shape[1:3]
     region = (0, 0, columns, rows) if scan.region is None else scan.region.rectangle_px
     wanted = tuple(mm / step for mm, step in zip(field_mm, spacing, strict=True))
+    known = _as_trained(scan, info, wanted)
+    if known is not None:
+        return known
     if scan.region is not None and scan.region.mask is not None:
         found = _in_sector(scan.region.mask, region, wanted)
         if found is None:
@@ -136,6 +144,29 @@ def _rectangle(scan: Scan, info: WeightsInfo) -> Rectangle:
     width, height = (max(1, min(region[2 + k], round(wanted[k]))) for k in (0, 1))
     down = (region[3] - height) // 2 if info.input.crop_px is not None else 0
     return region[0] + (region[2] - width) // 2, region[1] + down, width, height
+
+
+def _as_trained(scan: Scan, info: WeightsInfo, wanted: tuple[float, ...]) -> Rectangle | None:
+    """Return the rectangle that training would have taken; ``None`` if it is not the image."""
+    rows, columns = scan.frames.shape[1:3]
+    region = scan.region
+    if info.input.crop_px is None:
+        mask = None if region is None else region.mask
+        known = np.abs(np.divide((columns, rows), wanted) - 1).max() <= SAME_SIZE
+        return (0, 0, columns, rows) if known and mask is None else None
+    width, height = (round(size) for size in wanted)
+    left, top = (columns - width) // 2, (rows - height) // 2
+    if left < 0 or top < 0:
+        return None
+    inside = np.ones((rows, columns), dtype=bool)
+    if region is not None:
+        inside[:] = False
+        x, y, across, down = region.rectangle_px
+        inside[y : y + down, x : x + across] = True
+        if region.mask is not None:
+            inside &= np.asarray(region.mask)
+    held = float(inside[top : top + height, left : left + width].mean())
+    return (left, top, width, height) if held >= HELD_SHARE else None
 
 
 def _in_sector(

@@ -72,6 +72,11 @@ class LearnedEstimator(MotionEstimator):
         """The network's name."""
         return self.info.network
 
+    @property
+    def arithmetic(self) -> str:
+        """Precision and device, such as ``"bf16 on cpu"``."""
+        return f"{'bf16' if self._bf16 else 'fp32'} on {self._device.type}"
+
     def estimate(self, scan: Scan, progress: Progress | None = None) -> MotionEstimate:
         """Return the motion between consecutive frames; tracked poses are never looked at.
 

@@ -116,9 +116,14 @@ class MoGLoOptions:
             )
 
     @property
+    def e1_reduction(self) -> int:
+        """Pixels of a frame along each side of a pixel of E1, whose features are correlated."""
+        return max(self.stem_stride, 4)
+
+    @property
     def reduction(self) -> int:
         """Pixels of a frame along each side of a pixel of E3."""
-        return SIZE * max(self.stem_stride, 4)
+        return SIZE * self.e1_reduction
 
 
 PAPER = MoGLoOptions(

@@ -19,8 +19,6 @@ from sonosweep.estimators.moglo import MoGLo
 from sonosweep.estimators.network import MotionNetwork
 from sonosweep.estimators.network_input import unit_frames
 
-E1_REDUCTION = 4  # of the features that moglo correlates, against the frame
-
 
 @dataclass(frozen=True, eq=False)
 class StepMaps:
@@ -64,7 +62,9 @@ def step_maps(
     frames = None
     if isinstance(network, MoGLo) and features is not None:
         options = network.options
-        frames = frame_correlation(before, after, options.geometry, options.zero_mean).numpy()
+        frames = frame_correlation(
+            before, after, options.geometry, options.e1_reduction, options.zero_mean
+        ).numpy()
     return StepMaps(
         words=words,
         frame=(255 * after).round().to(torch.uint8).numpy(),
@@ -79,6 +79,7 @@ def frame_correlation(
     first: Float[Tensor, "rows columns"],
     second: Float[Tensor, "rows columns"],
     geometry: CorrelationGeometry,
+    reduction: int,
     zero_mean: bool,
 ) -> Float[Tensor, "shift_rows shift_columns"]:
     """Return the correlation of two frames for every shift, as ``moglo`` does of E1.
@@ -90,12 +91,13 @@ def frame_correlation(
         first: B-mode, values within 0 and 1.
         second: The next frame.
         geometry: Of the network's correlation.
+        reduction: Pixels of the frame per pixel of E1, along each side.
         zero_mean: Whether the local mean is taken off, as the network does with E1.
 
     References:
         Lee et al. 2025, section "Discussion" and its figure of correlation maps.
     """
-    small = F.avg_pool2d(torch.stack((first, second))[:, None], E1_REDUCTION)
+    small = F.avg_pool2d(torch.stack((first, second))[:, None], reduction)
     if zero_mean:
         small = subtract_local_mean(small)
     return correlation_volume(small[:1], small[1:], geometry)[0].mean((0, 1))

@@ -20,6 +20,7 @@ from sonosweep.io.atomic import write_beside
 FORMAT = "sonosweep weights 1"
 KEY = "sonosweep"
 DIGEST = "sha256"  # of the numbers: safetensors itself does not notice a flipped bit
+INFO_DIGEST = "sonosweep_sha256"  # of what is said about them
 LARGEST_BYTES = 2**30
 
 Positive = Annotated[float, Field(gt=0)]
@@ -83,7 +84,13 @@ def save_weights(path: str | os.PathLike, network: MotionNetwork, info: WeightsI
     """
     state = network.state_dict()
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
-    metadata = {"format": FORMAT, KEY: info.model_dump_json(), DIGEST: _digest(tensors)}
+    said = info.model_dump_json()
+    metadata = {
+        "format": FORMAT,
+        KEY: said,
+        INFO_DIGEST: hashlib.sha256(said.encode()).hexdigest(),
+        DIGEST: _digest(tensors),
+    }
     with write_beside(path) as temporary:
         save_file(tensors, temporary, metadata)
 
@@ -135,7 +142,11 @@ def _read(path: Path, only_info: bool = False) -> tuple[WeightsInfo, dict[str, t
             metadata = file.metadata() or {}
             if metadata.get("format") != FORMAT or KEY not in metadata:
                 raise FormatError(f"'{path}' holds no weights of ours ({FORMAT})")
-            info = WeightsInfo.model_validate(json.loads(metadata[KEY]))
+            said = metadata[KEY]
+            written = hashlib.sha256(said.encode()).hexdigest()
+            if metadata.get(INFO_DIGEST, written) != written:
+                raise FormatError(f"'{path}' is damaged: what it says is not what was written")
+            info = WeightsInfo.model_validate(json.loads(said))
             names = () if only_info else file.keys()
             tensors = {name: file.get_tensor(name) for name in names}
     except OSError as error:

@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from sonosweep.evaluate.methods import (
     Method,
     NoMotion,
     TrueMean,
+    code_digest,
     file_digest,
     tracked_motion,
 )
@@ -50,18 +50,18 @@ def quick_baselines(training: Sequence[Path]) -> list[Method]:
 
 
 def decorrelation_baselines(
-    training: Sequence[Path],
+    teaching: Sequence[Path],
     folder: Path,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Method]:
-    """Return the decorrelation estimator as it is, and with what training scans teach it.
+    """Return the decorrelation estimator as it is, and with what tracked scans teach it.
 
-    It is taught in two ways, on the first scan of each of the first few training subjects:
-    by how much its guess of the elevational scale is off, and with a whole curve. The
-    direction, which speckle cannot tell, is that of the training scans.
+    It is taught in two ways, on the longest scans of different subjects: by how much its guess
+    of the elevational scale is off, and with a whole curve. The direction, which speckle
+    cannot tell, is that of these scans.
 
     Args:
-        training: Files of tracked scans, none of a test subject.
+        teaching: Files of tracked scans, none of a test subject.
         folder: Where what was learned is kept, so that it is learned once.
         progress: Called with the scans done and in all.
 
@@ -69,8 +69,8 @@ def decorrelation_baselines(
         ScanError: As :func:`quick_baselines`, or if a scan does not decorrelate.
         FormatError: If the folder cannot be written to.
     """
-    direction = -1 if float(mean_motion(training)[ELEVATIONAL]) < 0 else 1
-    chosen = list(_one_of_each_subject(training).values())[:CALIBRATION_SCANS]
+    direction = -1 if float(mean_motion(teaching)[ELEVATIONAL]) < 0 else 1
+    chosen = longest_of_subjects(teaching)[:CALIBRATION_SCANS]
     lessons = []
     for done, path in enumerate(chosen):
         lessons.append((_stretch(path, folder), _curve(path, folder)))
@@ -78,7 +78,8 @@ def decorrelation_baselines(
             progress(done + 1, len(chosen))
     stretch = float(np.exp(np.mean([np.log(factor) for factor, _ in lessons])))
     curve = mean_curve([curve for _, curve in lessons])
-    of = f"of {len(chosen)} training scans"
+    frames = sum(len(open_scan(path).frames) for path in chosen)
+    of = f"of {frames} tracked frames"
     return [
         Decorrelation(direction=direction),
         Decorrelation(f"decorrelation, scale {of}", None, direction, stretch),
@@ -125,7 +126,7 @@ def mean_curve(curves: Sequence[DecorrelationCurve]) -> DecorrelationCurve:
 
 def _curve(path: Path, folder: Path) -> DecorrelationCurve:
     """Return the curve of a tracked scan, measured if it is not there yet."""
-    kept = folder / f"curve_{version('sonosweep')}_{file_digest(path)[:16]}.toml"
+    kept = folder / f"curve_{code_digest()}_{file_digest(path)[:16]}.toml"
     if not kept.is_file():
         write_curve(calibrate(locate_image(open_scan(path))), kept)
     return read_curve(kept)
@@ -133,7 +134,7 @@ def _curve(path: Path, folder: Path) -> DecorrelationCurve:
 
 def _stretch(path: Path, folder: Path) -> float:
     """Return how much farther a scan truly went than guessed, measured if not there yet."""
-    kept = folder / f"stretch_{version('sonosweep')}_{file_digest(path)[:16]}.json"
+    kept = folder / f"stretch_{code_digest()}_{file_digest(path)[:16]}.json"
     with suppress(OSError, ValueError, TypeError, KeyError):
         return float(json.loads(kept.read_text(encoding="utf-8"))["stretch"])
     scan = locate_image(open_scan(path))
@@ -167,13 +168,15 @@ def _geometric_mean(values: Sequence[Sequence[float]]) -> tuple[float, ...]:
     return tuple(np.exp(np.log(np.asarray(values, dtype=np.float64)).mean(axis=0)).tolist())
 
 
-def _one_of_each_subject(training: Sequence[Path]) -> dict[str, Path]:
-    """Return the first scan of each subject."""
-    found: dict[str, Path] = {}
-    for path in training:
+def longest_of_subjects(teaching: Sequence[Path]) -> list[Path]:
+    """Return the longest scan of each subject, longest first, otherwise in their order."""
+    found: dict[str, tuple[int, Path]] = {}
+    for path in teaching:
         scan = _allowed(open_scan(path))
-        found.setdefault(scan.subject or scan.name, path)
-    return found
+        who, frames = scan.subject or scan.name, len(scan.frames)
+        if who not in found or frames > found[who][0]:
+            found[who] = (frames, path)
+    return [path for _, path in sorted(found.values(), key=lambda longest: -longest[0])]
 
 
 def _allowed(scan: Scan) -> Scan:

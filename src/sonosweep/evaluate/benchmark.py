@@ -218,5 +218,6 @@ def _named_row(job: _Job, simulated: bool) -> Row:
     row = _read_row(job.answer)
     if row is None:
         raise FormatError(f"the answer in '{job.answer}' is gone: run again")
-    who: Row = {"method": job.method.name, "kind": job.method.kind, "run": job.method.run}
+    method = job.method
+    who: Row = {"method": method.name, "kind": method.kind, "run": method.run, **method.origin}
     return {**who, "simulated": simulated, **{k: v for k, v in row.items() if k != "method"}}

@@ -137,6 +137,9 @@ def _facts(rows: Sequence[Row], facts: Mapping[str, str]) -> str:
         "measured": " to ".join(dict.fromkeys((dates[0], dates[-1]))),
         "program": ", ".join(programs),
     }
+    arithmetic = sorted({str(row["arithmetic"]) for row in rows if row.get("arithmetic")})
+    if arithmetic:
+        known["networks worked in"] = ", ".join(arithmetic)
     return "\n".join(f"- {name}: {text}" for name, text in known.items())
 
 

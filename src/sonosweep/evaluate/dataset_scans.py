@@ -20,12 +20,15 @@ class DatasetScans:
         recipe: Name of the data set, such as ``"dataset1"``.
         description: One line that says which data set it is.
         training: Files of its training scans.
+        teaching: Files of scans from which the decorrelation estimator can learn a scale: those
+            for training and, if they are not reported on, those for validation.
         scans: Files of the scans to report on.
     """
 
     recipe: str
     description: str
     training: tuple[Path, ...]
+    teaching: tuple[Path, ...]
     scans: tuple[Path, ...]
 
 
@@ -53,13 +56,18 @@ def dataset_scans(
     facts = json.loads((folder / DATASET_NAME).read_text(encoding="utf-8"))
     tracker = "no tracker (exact poses)" if facts.get("tracker") is None else "a noisy tracker"
     training = tuple(path for of, path in files if of == "train")
+    held_out = () if part == "validation" else tuple(p for of, p in files if of == "validation")
     description = (
         f"{facts.get('recipe')}, size {facts.get('size')}, seed {facts.get('seed')}, {tracker};"
-        f" {part} part; baselines learn from its {len(training)} training scans; digest"
+        f" {part} part; mean motion of its {len(training)} training scans; digest"
         f" {str(facts.get('digest'))[:12]}"
     )
     return DatasetScans(
-        str(facts.get("recipe")), description, training, tuple(chosen[: first or len(chosen)])
+        recipe=str(facts.get("recipe")),
+        description=description,
+        training=training,
+        teaching=(*training, *held_out),
+        scans=tuple(chosen[: first or len(chosen)]),
     )
 
 

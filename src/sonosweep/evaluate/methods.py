@@ -7,6 +7,7 @@ depends on, so that results can be kept.
 import hashlib
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
@@ -23,9 +24,22 @@ from sonosweep.geometry import (
     step_from_motion,
     steps_from_poses,
 )
+from sonosweep.io.source_digest import source_digest
 from sonosweep.reconstruct import estimate_trajectory
 from sonosweep.reconstruct.estimate import MIRRORED as OUT_OF_PLANE
 from sonosweep.scan import Scan, Trajectory
+
+ANSWERING = (
+    "geometry",
+    "scan",
+    "imaging",
+    "metrics",
+    "estimators",
+    "reconstruct",
+    "evaluate/compare.py",
+    "evaluate/methods.py",
+)
+"""Parts of the program that an answer, or how it is measured, depends on."""
 
 Kind = Literal["plain", "oracle", "network"]
 Motion = tuple[float, float, float, float, float, float]
@@ -51,6 +65,11 @@ class Method(ABC):
         """Which of several trainings of one network; empty for everything else."""
         return ""
 
+    @property
+    def origin(self) -> dict[str, str]:
+        """What a row of the table says about it beside its name."""
+        return {"weights": "", "arithmetic": ""}
+
     @abstractmethod
     def trajectory(self, scan: Scan, progress: Progress | None = None) -> Trajectory:
         """Return the poses of a scan.
@@ -61,8 +80,7 @@ class Method(ABC):
 
     def digest(self) -> str:
         """Return a text that differs for methods that may answer differently."""
-        facts = repr((version("sonosweep"), type(self).__name__, sorted(asdict(self).items())))
-        return hashlib.sha256(facts.encode()).hexdigest()[:32]
+        return _text_digest(type(self).__name__, sorted(asdict(self).items()))
 
 
 @dataclass(frozen=True)
@@ -172,8 +190,24 @@ class Network(Method):
 
     def digest(self) -> str:
         """Return a text that depends on what the file holds, not on what it is called."""
-        facts = repr((version("sonosweep"), file_digest(self.weights), self.direction))
-        return hashlib.sha256(facts.encode()).hexdigest()[:32]
+        return _text_digest(self.content, self.direction, self.arithmetic)
+
+    @cached_property
+    def content(self) -> str:
+        """Digest of the file."""
+        return file_digest(self.weights)
+
+    @cached_property
+    def arithmetic(self) -> str:
+        """Precision and device."""
+        from sonosweep.estimators.learned import LearnedEstimator
+
+        return LearnedEstimator(self.weights).arithmetic
+
+    @property
+    def origin(self) -> dict[str, str]:
+        """Which weights, by their file's digest, and how they are worked with."""
+        return {"weights": self.content[:12], "arithmetic": self.arithmetic}
 
 
 def tracked_motion(scan: Scan) -> Tensor:
@@ -192,10 +226,21 @@ def tracked_motion(scan: Scan) -> Tensor:
     return motion_from_step(steps_from_poses(poses.double())[both])
 
 
+def code_digest() -> str:
+    """Return a short text that differs for other code that answers depend on."""
+    return hashlib.sha256(
+        f"{version('sonosweep')} {source_digest(*ANSWERING)}".encode()
+    ).hexdigest()[:12]
+
+
 def file_digest(path: Path) -> str:
     """Return a text that differs for files with other content."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:32]
+
+
+def _text_digest(*facts: object) -> str:
+    return hashlib.sha256(repr((code_digest(), *facts)).encode()).hexdigest()[:32]
 
 
 def _steady(scan: Scan, motion: Tensor) -> Trajectory:

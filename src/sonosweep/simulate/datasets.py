@@ -29,14 +29,13 @@ References:
 import hashlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import cache
 from itertools import product
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from sonosweep.errors import ScanError
+from sonosweep.io.source_digest import source_digest
 from sonosweep.scan.split import PARTS, Split
 from sonosweep.simulate.bodies import BodyName, Side
 from sonosweep.simulate.motion import MotionSettings, Orientation
@@ -58,19 +57,9 @@ END_MM = 6.0  # of it that a sweep leaves free
 CONVEX_CONTACT_MM = 25.0  # of its face that rests on an arm
 
 
-@cache
 def program_digest() -> str:
-    """Return a text that differs for different versions of the code that makes scans.
-
-    The version number alone would let scans of changed code join those of a data set that
-    was begun before.
-    """
-    package = Path(__file__).parents[1]
-    found = hashlib.sha256()
-    for part in ("geometry", "imaging", "simulate"):
-        for file in sorted((package / part).glob("*.py")):
-            found.update(file.name.encode() + b"\0" + file.read_bytes())
-    return found.hexdigest()
+    """Return a text that differs for different versions of the code that makes scans."""
+    return source_digest("geometry", "imaging", "simulate")
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from sonosweep.errors import TrainingError
+from sonosweep.estimators.diagonals import full_precision
 from sonosweep.estimators.network import NetworkOutput
 
 Motion = Float[Tensor, "batch steps motion=6"]
@@ -146,9 +147,10 @@ def triplet_loss(
         The margin, which the released code adds and the equation lacks: without it, equal
         embeddings of everything would be best.
     """
-    apart = torch.cdist(embedding.float(), embedding.float())
     unit = functional.normalize(true.float(), dim=1, eps=SMALLEST_LENGTH)
-    likeness = unit @ unit.T
+    with full_precision(embedding.device):  # in 16 bits different motions become alike
+        apart = torch.cdist(embedding.float(), embedding.float())
+        likeness = unit @ unit.T
     # Axes: anchor, positive, negative.
     valid = likeness[:, :, None] > likeness[:, None, :]
     itself = torch.eye(len(true), dtype=torch.bool, device=true.device)

@@ -9,7 +9,7 @@ import os
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -24,6 +24,10 @@ LARGEST_BYTES = 1_000_000
 
 class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Stride = Annotated[int, Field(ge=1)]
+Decay = Annotated[float, Field(ge=0, lt=1)]
 
 
 class NetworkRecipe(_Part):
@@ -107,7 +111,7 @@ class Stage(_Part):
     window: int = Field(default=2, ge=2)
     batch: int = Field(default=32, ge=1)
     learning_rate: float = Field(default=1e-3, gt=0)
-    strides: tuple[int, ...] = Field(default=(1,), min_length=1)
+    strides: tuple[Stride, ...] = Field(default=(1,), min_length=1)
     warm_up: float = Field(default=0.06, ge=0, lt=1)
     last: float = Field(default=0.0, ge=0, le=1)
 
@@ -128,7 +132,7 @@ class OptimizerRecipe(_Part):
 
     weight_decay: float = Field(default=1e-2, ge=0)
     clip: float = Field(default=1.0, gt=0)
-    betas: tuple[float, float] = (0.9, 0.999)
+    betas: tuple[Decay, Decay] = (0.9, 0.999)
 
 
 class Recipe(_Part):

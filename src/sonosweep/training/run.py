@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.util import find_spec
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from sonosweep.training.scans import TrainingScan, data_digest, open_data
 from sonosweep.training.sequences import (
     MotionStatistics,
     TrainingBatches,
+    check_lengths,
     motion_statistics,
     pairs_done,
 )
@@ -97,11 +99,15 @@ def train(
         TrainingError: If the loss is not a number, or memory is short.
     """
     place = Path(folder)
-    checkpoint = _begin(recipe, place, resume)
-    pool, validation = open_data(recipe.data, recipe.input, preparing)
+    checkpoint = _checkpoint(recipe, place) if resume else None
+    with _memory_is_short(recipe):
+        pool, validation = open_data(recipe.data, recipe.input, preparing)
+    check_lengths(pool, validation, recipe.stages)
     statistics = motion_statistics(pool, recipe.scale)
     torch.manual_seed(recipe.seed)
     module = MotionModule(_network(recipe, build), recipe, statistics)
+    if not (resume and (place / RECIPE).exists()):
+        _begin(recipe, place)
     watch = RunWatch(place, recipe, validation, progress)
     with _memory_is_short(recipe), _quiet():
         trainer = _trainer(recipe, watch, device, place)
@@ -127,31 +133,32 @@ def train(
     return TrainedRun(place / WEIGHTS, metrics, pairs, info.parameters, spent)
 
 
-def _begin(recipe: Recipe, folder: Path, resume: bool) -> Path | None:
-    """Return the checkpoint to go on from, and leave the recipe in the folder."""
-    text = recipe_text(recipe)
-    path = folder / RECIPE
-    checkpoint = folder / CHECKPOINT
-    if resume and path.exists():
-        before = path.read_text(encoding="utf-8")
-        if before != text:
-            theirs = (
-                a for a, b in zip(text.splitlines(), before.splitlines(), strict=False) if a != b
-            )
-            raise RecipeError(
-                f"the run in '{folder}' had another recipe, beginning with '{next(theirs, '')}':"
-                " go on with that one, or choose another folder"
-            )
-        return checkpoint if checkpoint.exists() else None
-    if int(os.environ.get("RANK", "0")) > 0:  # one process writes
+def _checkpoint(recipe: Recipe, folder: Path) -> Path | None:
+    """Return the checkpoint to go on from, if the run in the folder came to one."""
+    if not (folder / RECIPE).exists():
         return None
+    text, before = recipe_text(recipe), (folder / RECIPE).read_text(encoding="utf-8")
+    if before != text:
+        theirs = (a for a, b in zip(text.splitlines(), before.splitlines(), strict=False) if a != b)
+        raise RecipeError(
+            f"the run in '{folder}' had another recipe, beginning with '{next(theirs, '')}':"
+            " go on with that one, or choose another folder"
+        )
+    checkpoint = folder / CHECKPOINT
+    return checkpoint if checkpoint.exists() else None
+
+
+def _begin(recipe: Recipe, folder: Path) -> None:
+    """Leave the recipe in the folder, and nothing of a run that was there before."""
+    if int(os.environ.get("RANK", "0")) > 0:  # one process writes
+        return
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-        checkpoint.unlink(missing_ok=True)
+        for name in (CHECKPOINT, LOG, WEIGHTS):
+            (folder / name).unlink(missing_ok=True)
+        (folder / RECIPE).write_text(recipe_text(recipe), encoding="utf-8")
     except OSError as error:
         raise FormatError(f"cannot write to '{folder}': {error.strerror or error}") from error
-    return None
 
 
 def _network(recipe: Recipe, build: Builder | None) -> MotionNetwork:
@@ -249,7 +256,7 @@ def _info(
         parameters=sum(p.numel() for p in module.network.parameters()),
         recipe=recipe_text(recipe),
         data=digest,
-        metrics=dict(metrics),
+        metrics={name: None if isnan(value) else value for name, value in metrics.items()},
         made=datetime.now(UTC).date().isoformat(),
         version=version("sonosweep"),
     )

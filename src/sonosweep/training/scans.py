@@ -24,7 +24,7 @@ from sonosweep.io import open_scan
 from sonosweep.scan import Frames, Scan
 from sonosweep.scan.split import Split
 from sonosweep.simulate import dataset_files, dataset_recipe, refuse_test_subjects
-from sonosweep.simulate.datasets import PlannedScan
+from sonosweep.simulate.datasets import PlannedScan, program_digest
 from sonosweep.simulate.planned_sweep import planned_body, simulate_planned
 from sonosweep.training.recipe import DataRecipe, SimulatedData
 
@@ -98,6 +98,10 @@ class ScanPool(ABC):
     def scan(self, epoch: int, place: int) -> TrainingScan:
         """Return one of them, the same whenever it is asked for."""
 
+    @abstractmethod
+    def digest(self) -> bytes:
+        """Return bytes that differ for pools with other scans."""
+
 
 class FixedScans(ScanPool):
     """The same scans in every round."""
@@ -112,6 +116,10 @@ class FixedScans(ScanPool):
     def scan(self, epoch: int, place: int) -> TrainingScan:
         """Return the scan of a place."""
         return self._scans[place]
+
+    def digest(self) -> bytes:
+        """Return bytes made of those of the scans."""
+        return b"".join(scan.digest() for scan in self._scans)
 
 
 class SimulatedScans(ScanPool):
@@ -135,6 +143,11 @@ class SimulatedScans(ScanPool):
             found = (generation, _simulated(plan, self._settings))
             self._made[place] = found
         return found[1]
+
+    def digest(self) -> bytes:
+        """Return bytes made of what all scans follow from, those of later rounds too."""
+        facts = (self._data.model_dump_json(), self._settings.model_dump_json())
+        return repr((program_digest(), *facts)).encode()
 
 
 def training_plan(data: SimulatedData, number: int) -> PlannedScan:
@@ -221,8 +234,8 @@ def training_scan(
 
 def data_digest(pool: ScanPool, validation: Sequence[TrainingScan]) -> str:
     """Return a text that differs for other data."""
-    scans = [*(pool.scan(0, place) for place in range(len(pool))), *validation]
-    return hashlib.sha256(b"".join(scan.digest() for scan in scans)).hexdigest()[:32]
+    held_out = b"".join(scan.digest() for scan in validation)
+    return hashlib.sha256(pool.digest() + held_out).hexdigest()[:32]
 
 
 def _files(recipe: DataRecipe) -> list[tuple[str, Path]]:

@@ -180,6 +180,31 @@ def _pixels(window: _Window) -> np.ndarray:
     return pixels[::-1] if window.backward else pixels
 
 
+def check_lengths(
+    pool: ScanPool, validation: Sequence[TrainingScan], stages: Sequence[Stage]
+) -> None:
+    """Check that every scan has a window for each stage, and those for validation a step.
+
+    Raises:
+        ScanError: If not.
+    """
+    for place in range(len(pool)):
+        scan = pool.scan(0, place)
+        for stage in stages:
+            if not any(len(scan.starts(stage.window, stride)) for stride in stage.strides):
+                raise _too_short(scan, stage.window)
+    for scan in validation:
+        if not len(scan.starts(2)):
+            raise ScanError(f"'{scan.name}' has no two tracked frames in a row to measure on")
+
+
+def _too_short(scan: TrainingScan, window: int) -> ScanError:
+    return ScanError(
+        f"'{scan.name}' has no {window} tracked frames in a row: shorten the window of the stage,"
+        " or leave the scan out"
+    )
+
+
 def draw_window(scan: TrainingScan, stage: Stage, draw: np.random.Generator) -> np.ndarray:
     """Return the numbers of a window's frames, its start and stride drawn at random.
 
@@ -189,10 +214,7 @@ def draw_window(scan: TrainingScan, stage: Stage, draw: np.random.Generator) -> 
     starts = {stride: scan.starts(stage.window, stride) for stride in stage.strides}
     strides = [stride for stride, found in starts.items() if len(found)]
     if not strides:
-        raise ScanError(
-            f"'{scan.name}' has no {stage.window} tracked frames in a row: shorten the window of"
-            " the stage, or leave the scan out"
-        )
+        raise _too_short(scan, stage.window)
     stride = strides[int(draw.integers(len(strides)))]
     start = starts[stride][int(draw.integers(len(starts[stride])))]
     return start + stride * np.arange(stage.window)

@@ -45,7 +45,7 @@ def scan_metrics(motion: Float[Tensor, "steps motion=6"], scan: TrainingScan) ->
     """Return how far motions (mm, rad, about the frame's centre) are from the true ones.
 
     These are the correlation of each of the six numbers, ``"r_lateral"`` and so on, 0 where
-    it is not defined, and the numbers of :data:`REPORTED`, of the image's poses.
+    it is not defined, and the numbers of :data:`REPORTED`, of the image's poses, NaN there.
     """
     tracked = torch.from_numpy(scan.tracked)
     both = tracked[:-1] & tracked[1:]
@@ -64,7 +64,8 @@ def scan_metrics(motion: Float[Tensor, "steps motion=6"], scan: TrainingScan) ->
         tracked=None if bool(tracked.all()) else tracked,
     ).as_dict()
     for short, name in REPORTED.items():
-        metrics[short] = float(found[name] or 0.0)
+        value = found[name]
+        metrics[short] = float("nan") if value is None else float(value)
     return metrics
 
 
