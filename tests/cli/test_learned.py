@@ -11,7 +11,7 @@ from PIL import Image
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from sonosweep.estimators.weights import DIGEST, FORMAT, KEY
+from sonosweep.estimators.weights import DIGEST, FORMAT, INFO_DIGEST, KEY
 from sonosweep.io import read_trajectory
 from tests.cli.test_bad_input import one_sentence
 from tests.estimators.tiny_weights import tiny_weights
