@@ -164,6 +164,11 @@ def test_varied_data_sets_have_stretches_of_many_sweeps_to_learn_from(name, scan
     assert all(0 <= s.stretch[0] <= s.motion.frames - 10 for s in train if s.stretch)
     assert counts(recipe)[1:] == (6, counts(dataset_recipe(name, "small"))[2])
     assert all(s.stretch is None for s in recipe.scans if s.part != "train")
+    moves = [
+        {(s.motion.orientation, s.motion.shape) for s in r.scans if s.part == "validation"}
+        for r in (recipe, dataset_recipe(name))
+    ]
+    assert moves[0] == moves[1]  # progress is measured on every kind of sweep
 
 
 def test_scanners_are_as_in_the_paper_unless_others_are_asked_for():

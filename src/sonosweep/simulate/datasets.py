@@ -172,7 +172,7 @@ def dataset_recipe(
     plan, sizes = RECIPES[name]
     scans = plan(size, seed, sizes[SIZES.index(size)])
     if size == "varied":
-        scans = [_cut(scan) for scan in scans if scan.part != "validation" or scan.scan == 0]
+        scans = [_cut(scan) for scan in _one_for_validation(scans)]
     if scanner is not None:
         scans = [replace(scan, scanner=scanner) for scan in scans]
     if subjects is not None:
@@ -205,6 +205,15 @@ def _first_subjects(scans: list[PlannedScan], count: int) -> list[PlannedScan]:
 def _both(modalities: tuple[str, ...], more: tuple[str, ...]) -> tuple[str, ...]:
     """Return each modality once."""
     return tuple(dict.fromkeys((*modalities, *more)))
+
+
+def _one_for_validation(scans: list[PlannedScan]) -> list[PlannedScan]:
+    """Return the scans with one alone of each subject for validation, of another kind each."""
+    held_out = [scan for scan in scans if scan.part == "validation"]
+    subjects = list(dict.fromkeys(scan.subject for scan in held_out))
+    kinds = len({(scan.motion.orientation, scan.motion.shape) for scan in held_out})
+    number = {subject: place % kinds for place, subject in enumerate(subjects)}
+    return [s for s in scans if s.part != "validation" or s.scan == number[s.subject]]
 
 
 def _cut(scan: PlannedScan) -> PlannedScan:
