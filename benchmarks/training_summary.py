@@ -32,6 +32,7 @@ def _row(run: str) -> dict[str, Cell]:
     end = [row for row in log if row["pairs"] > (1 - LAST) * log[-1]["pairs"]]
     spent = log[-1].get("cpu_s")
     return {
+        "run": "/".join(Path(run).parts[-2:]),
         "network": info.network,
         "seed": tomllib.loads(info.recipe)["seed"],
         "parameters": info.parameters,
