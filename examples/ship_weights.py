@@ -55,7 +55,7 @@ def main(table: Path, folder: Path, runs: list[str]) -> None:
 def test_metrics(rows: list[dict[str, str]], run: str) -> dict[str, float]:
     """Return the mean over the test sweeps of what is told of the weights of a run."""
     weights = Network(run, find_weights(run)).origin["weights"]
-    own = [row for row in rows if row["weights"] == weights]
+    own = [row for row in rows if row.get("weights") == weights]
     if not own:
         raise SystemExit(f"the table has no rows of the weights of '{run}'")
     return {

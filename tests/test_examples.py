@@ -3,9 +3,11 @@
 import runpy
 from pathlib import Path
 
+import pytest
 import torch
 
 from sonosweep.estimators.weights import load_weights
+from sonosweep.evaluate.methods import Network
 from sonosweep.simulate import uniform_phantom, vessel_phantom
 from tests.estimators.tiny_weights import tiny_weights
 
@@ -87,8 +89,10 @@ def test_ship_weights(tmp_path):
     path = tiny_weights(tmp_path, "moglo")
     names = [column for column, _ in example_globals("ship_weights.py")["TOLD"].values()]
     table = tmp_path / "table.csv"
-    lines = [f"moglo,seed 0,a{k},p{k // 2},{','.join([str(k)] * len(names))}" for k in range(3)]
-    table.write_text("\n".join([f"method,run,scan,subject,{','.join(names)}", *lines]))
+    own = Network("moglo", path).origin["weights"]
+    lines = [f"moglo,{own},a{k},p{k // 2},{','.join([str(k)] * len(names))}" for k in range(3)]
+    other = f"moglo,0123,a0,p0,{','.join(['9'] * len(names))}"  # another training of the name
+    table.write_text("\n".join([f"method,weights,scan,subject,{','.join(names)}", *lines, other]))
 
     example("ship_weights.py")(table, tmp_path / "out", [str(path)])
 
@@ -104,3 +108,6 @@ def test_ship_weights(tmp_path):
     card = (tmp_path / "out" / "moglo.md").read_text()
     assert "Mean over 3 simulated test sweeps of 2 subjects" in card
     assert "| correlation, elevational | 1 |" in card
+    table.write_text(f"method,weights,scan,subject,{','.join(names)}\n{other}\n")
+    with pytest.raises(SystemExit, match="no rows of the weights of"):
+        example("ship_weights.py")(table, tmp_path / "out", [str(path)])

@@ -40,7 +40,7 @@ def test_a_data_set_becomes_a_page_and_a_table(run, dataset, tmp_path):
     assert ran.code == 0, ran.error
     assert ran.out.strip() == page.strip()
     assert "2 of 1 subjects, simulated, truth exact; 6 frames" in page
-    assert "learn from its 2 training scans" in page
+    assert "mean motion of its 2 training scans" in page
     assert [row["method"] for row in rows] == [
         name
         for name in (
