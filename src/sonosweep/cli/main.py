@@ -35,6 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         run(sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:
+        if sys.unraisablehook is _not_raised:  # the program ends here
+            sys.unraisablehook = _ignored
         leave("interrupted; no output was left half-written", INTERRUPTED)
 
 
@@ -65,6 +67,10 @@ def _not_raised(lost: "sys.UnraisableHookArgs") -> None:
         _ask_again()
     else:
         sys.__unraisablehook__(lost)
+
+
+def _ignored(lost: "sys.UnraisableHookArgs") -> None:
+    """Say nothing: objects that Ctrl-C left half-made fail in their destructors."""
 
 
 def _ask_again() -> None:
