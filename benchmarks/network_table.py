@@ -12,9 +12,10 @@ from pathlib import Path
 from sonosweep.estimators.network_names import NETWORKS
 from sonosweep.estimators.shipped import find_weights
 from sonosweep.estimators.weights import read_weights_info
-from sonosweep.evaluate.benchmark_table import interval_text
-from sonosweep.evaluate.intervals import bootstrap_interval
+from sonosweep.evaluate.benchmark import Row
+from sonosweep.evaluate.method_summary import MethodResult, method_results
 from sonosweep.evaluate.paper_values import COLUMNS, PAPER_TABLES
+from sonosweep.evaluate.summary import interval_text
 from sonosweep.evaluate.tables import Cell, markdown_table
 
 ERRORS = {
@@ -27,8 +28,9 @@ ERRORS = {
 def main(table: Path) -> None:
     """Print ours, then the paper's: never in one table."""
     with table.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    print(markdown_table([_ours(name, rows) for name in NETWORKS]))
+        rows = [_row(texts) for texts in csv.DictReader(file)]
+    results = {result.name: result for result in method_results(rows)}
+    print(markdown_table([_ours(results[name], rows) for name in NETWORKS]))
     paper = PAPER_TABLES["dataset1"].rows
     printed = {name.lower(): dict(zip(COLUMNS, paper[name], strict=True)) for name in paper}
     chosen = ("rAE", "rFE", "FDR")
@@ -43,24 +45,24 @@ def main(table: Path) -> None:
     )
 
 
-def _ours(name: str, rows: list[dict[str, str]]) -> dict[str, Cell]:
-    own = [row for row in rows if row["method"] == name]
-    frames, spent_s = (sum(float(row[column]) for row in own) for column in ("frames", "cpu_s"))
+def _row(texts: dict[str, str]) -> Row:
+    """Return a row of the file, its numbers that are needed here as numbers."""
+    numbers = ("frames", "cpu_s", *ERRORS.values())
+    return {**texts, **{column: float(texts[column]) for column in numbers}}
+
+
+def _ours(result: MethodResult, rows: list[Row]) -> dict[str, Cell]:
+    own = [row for row in rows if row["method"] == result.name]
+    frames, spent_s = (
+        sum(float(row[column] or 0) for row in own) for column in ("frames", "cpu_s")
+    )
     return {
-        "name": f"`{name}`",
-        "parameters": f"{read_weights_info(find_weights(name)).parameters / 1e6:.2f} M",
+        "name": f"`{result.name}`",
+        "parameters": f"{read_weights_info(find_weights(result.name)).parameters / 1e6:.2f} M",
         "ms per frame": spent_s / frames * 1e3,
-        "trainings": len({row["run"] for row in own}),
-        **{title: _interval(own, column) for title, column in ERRORS.items()},
+        "trainings": result.runs,
+        **{title: interval_text(result.interval(metric)) for title, metric in ERRORS.items()},
     }
-
-
-def _interval(rows: list[dict[str, str]], column: str) -> Cell:
-    """Return the mean over the sweeps, each the mean over trainings, with its interval."""
-    values: dict[str, list[float]] = {}
-    for row in rows:
-        values.setdefault(row["scan"], []).append(float(row[column]))
-    return interval_text(bootstrap_interval([sum(v) / len(v) for v in values.values()]))
 
 
 if __name__ == "__main__":

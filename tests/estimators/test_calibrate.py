@@ -84,6 +84,18 @@ def test_a_still_probe_gives_no_curve():
         calibrate(scan)
 
 
+@pytest.mark.parametrize("in_plane", [0, 1])
+def test_a_sweep_in_the_plane_of_the_image_gives_no_curve(in_plane):
+    """Its frames differ by what enters at their edge, not by the beam's width."""
+    motion = straight(1, 12)
+    motion[:, in_plane] = 3 * motion[:, 2]
+
+    with pytest.raises(
+        ScanError, match=r"moved in its plane in 'made of waves', 3[12]% of the way"
+    ):
+        calibrate(sweep(motion, 1))
+
+
 def test_missed_poses_are_refused():
     """A curve fitted to distances that the tracker missed would be wrong."""
     scan = sweep(straight(1, 9))

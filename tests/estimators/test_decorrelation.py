@@ -10,12 +10,14 @@ import torch
 from sonosweep.errors import ScanError
 from sonosweep.estimators.decorrelation import TURN_STD_RAD, DecorrelationEstimator
 from sonosweep.estimators.decorrelation_curve import DecorrelationCurve, curve_from_speckle
+from sonosweep.estimators.matching import SAMPLED_FRAMES
 from sonosweep.geometry import step_from_motion, transform_points
 from sonosweep.scan import Calibration, Region, Scan
 from tests.estimators.speckle import AMPLITUDE_WIDTH_MM, SPACING_MM, sweep
 
 THEORY = DecorrelationCurve(width_mm=(AMPLITUDE_WIDTH_MM,))
 PIXELS = 128
+ROWS_LIT = 80
 MIDDLE_MM = (PIXELS - 1) / 2 * SPACING_MM
 
 SHIFT_MM = 0.02  # an eighth of a pixel; the axial speckle is only 1.6 pixels wide
@@ -162,6 +164,37 @@ def test_a_black_frame_is_bridged():
     found = about_the_middle(DecorrelationEstimator(THEORY).estimate(lost).motion)
 
     assert abs(found[:, 2].sum() / motion[:, 2].sum() - 1) < SCALE
+
+
+def shadowed(scan: Scan, lit: slice = slice(0)) -> Scan:
+    """Return a scan of which the lower part is black, but for some frames."""
+    frames = np.array(scan.frames)
+    frames[:, ROWS_LIT:] = 0
+    frames[lit] = scan.frames[lit]
+    return replace(scan, frames=frames)
+
+
+def test_a_shadow_does_not_hold_the_probe_back():
+    """Its edge stays where it is and black resembles black; neither says anything of motion."""
+    motion = straight(3)
+
+    found = DecorrelationEstimator(THEORY).estimate(shadowed(sweep(motion, 3, rows=160))).motion
+
+    depth_mm = ROWS_LIT / 2 * SPACING_MM  # of the middle of what is lit
+    elevational, pitch, yaw = found.numpy()[:, 2:5].T
+    moved_mm = elevational + pitch * depth_mm - yaw * MIDDLE_MM
+    assert abs(moved_mm.sum() / motion[:, 2].sum() - 1) < SCALE
+
+
+def test_tissue_that_appears_for_a_moment_is_no_trouble():
+    """Patches that are black in all frames that are sampled have no usual fineness."""
+    scan = sweep(straight(4, 29), 4, rows=160)
+    sampled = np.linspace(0, len(scan.frames) - 1, SAMPLED_FRAMES).astype(int)
+    moment = slice(int(sampled[-2]) + 1, int(sampled[-1]))
+
+    found = DecorrelationEstimator().estimate(shadowed(scan, moment))
+
+    assert bool(found.motion.isfinite().all())
 
 
 def test_frames_are_read_as_they_are_needed():

@@ -314,6 +314,21 @@ def test_the_longest_scans_of_different_subjects_teach(tmp_path):
     assert [path.stem for path in found] == ["b", "c"]
 
 
+def test_sweeps_in_the_plane_of_the_image_teach_no_decorrelation(tmp_path):
+    """However long they are; if there are no others, that is said."""
+    turn = torch.eye(4, dtype=torch.float64)[[2, 1, 0, 3]]  # what was out of the plane is lateral
+    for name, steps, aside in (("a", 3, False), ("b", 9, True)):
+        scan = replace(scan_of(*[1.0] * steps), subject="first")
+        if aside:
+            poses = turn @ scan.image_to_reference @ turn
+            scan = replace(scan, image_to_reference=poses)
+        write_scan(scan, tmp_path / f"{name}.h5")
+
+    assert longest_of_subjects([tmp_path / "a.h5", tmp_path / "b.h5"]) == [tmp_path / "a.h5"]
+    with pytest.raises(ScanError, match="no scan to learn from moves out of its plane"):
+        decorrelation_baselines([tmp_path / "b.h5"], tmp_path)
+
+
 def test_what_training_scans_teach_the_decorrelation_estimator(tmp_path):
     """On the scan it learned from its path is as long as the true one; nothing is learned twice."""
     speckle = speckle_scan(frames=10)

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import h5py
 import numpy as np
@@ -23,7 +24,7 @@ from sonosweep.simulate.datasets import DatasetRecipe, dataset_recipe
 from sonosweep.simulate.make import dataset_files, make_dataset
 from sonosweep.simulate.motion import sweep_poses
 from sonosweep.simulate.planned_sweep import planned_body, simulate_planned
-from sonosweep.simulate.random_sweep import draw_sweep
+from sonosweep.simulate.random_sweep import ScannerKind, draw_sweep
 from sonosweep.simulate.seeds import generator, subject_name
 from sonosweep.simulate.tracker import ELECTROMAGNETIC, OPTICAL
 from tests.simulate.motion_bodies import arm
@@ -172,23 +173,24 @@ def test_varied_data_sets_have_stretches_of_many_sweeps_to_learn_from(name, scan
 
 
 def test_scanners_are_as_in_the_paper_unless_others_are_asked_for():
-    """Research scanners show what they hear; clinical ones have a preset in each scan."""
+    """Clinical ones have a preset in each scan, the others one for all."""
     for name, kind in (
         ("dataset1", "research"),
         ("dataset2", "research"),
-        ("dataset3", "clinical"),
+        ("dataset3", "speckle_reduced"),
     ):
         assert {scan.scanner for scan in FULL[name].scans} == {kind}
     clinical = dataset_recipe("dataset1", scanner="clinical")
     assert {scan.scanner for scan in clinical.scans} == {"clinical"}
     assert clinical.digest() != FULL["dataset1"].digest()
     plans = clinical.scans[:12]
-    presets = {kind: set[tuple[float, ...]]() for kind in ("research", "clinical")}
+    presets = {kind: set[tuple[float, ...]]() for kind in get_args(ScannerKind)}
     for kind, found in presets.items():
         for plan in plans:
             drawn = draw_sweep(plan.subject, plan.scan, plan.motion, scanner=kind).scanner
             found.add((drawn.persistence_frames, drawn.speckle_reduction, drawn.dynamic_range_db))
     assert presets["research"] == {(1, 0.0, 60.0)}
+    assert presets["speckle_reduced"] == {(1, 0.6, 60.0)}
     assert len(presets["clinical"]) == 12
 
 

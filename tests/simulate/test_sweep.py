@@ -208,7 +208,7 @@ def test_what_cannot_be_simulated_is_refused(body: Body) -> None:
         BodyMotionSettings(strain=0.4)
     with pytest.raises(ScanError, match=r"a probe is 'linear' or 'convex', got 'round'"):
         draw_sweep(900001, 0, probe="round")
-    with pytest.raises(ScanError, match=r"a scanner is 'research' or 'clinical', got 'toy'"):
+    with pytest.raises(ScanError, match=r"a scanner is 'research', .*, got 'toy'"):
         draw_sweep(900001, 0, scanner="toy")
 
 

@@ -43,6 +43,12 @@ SCALE_ROUNDS = 4
 """Rescalings until the path is as long as it should be: turns are not scaled, so one is not
 quite enough."""
 
+STRETCHES = 10
+"""Parts of a sweep over which its direction is told, so that a tracker's noise is not."""
+
+LEAST_OUT_OF_PLANE = 0.5
+"""Part of the movement that must be out of the plane for decorrelation to be due to it."""
+
 OUTLIER = 0.1
 """Correlation by which a patch may miss the curve before it counts less."""
 
@@ -140,6 +146,12 @@ def curve_from_tracked(
             " is tracked throughout, or give its length (--length-mm)"
         )
     sweep = _matched(scan, dynamic_range_db, progress)
+    share = out_of_plane_share(poses, sweep.grid.middle_mm)
+    if share < LEAST_OUT_OF_PLANE:
+        raise ScanError(
+            f"the probe moved in its plane in '{scan.name}', {share:.0%} of the way out of it:"
+            " calibrate with a sweep that moves out of the plane"
+        )
     distance_mm = _tracked_distances(sweep, poses)
     curve, rms = _fitted(sweep, distance_mm, scan.name, dynamic_range_db)
     length_mm = _tracked_length(sweep, poses)
@@ -152,6 +164,31 @@ def curve_from_tracked(
         "correlation_rms_error": rms,
     }
     return replace(curve, quality=quality)
+
+
+def out_of_plane_share(
+    image_to_reference: Float[torch.Tensor, "frames 4 4"], middle_mm: Float[np.ndarray, "xy=2"]
+) -> float:
+    """Return which part of a movement is out of the plane, from 0 to 1; NaN at rest.
+
+    Args:
+        image_to_reference: Poses.
+        middle_mm: Point of the image that is followed, lateral and axial.
+    """
+    apart = max(1, len(image_to_reference) // STRETCHES)
+    moved = _moved(image_to_reference, middle_mm, apart)
+    return float(moved[:, 2].abs().sum() / moved.norm(dim=-1).sum())
+
+
+def _moved(
+    image_to_reference: torch.Tensor, middle_mm: np.ndarray, apart: int = 1
+) -> Float[torch.Tensor, "pairs 3"]:
+    """Return how far the middle is moved so many frames later, seen from the earlier one."""
+    x, y = middle_mm
+    middle = torch.tensor([[x, y, 0.0]], dtype=torch.float64)
+    poses = image_to_reference.double()
+    later_to_earlier = invert_pose(poses[:-apart]) @ poses[apart:]
+    return transform_points(later_to_earlier, middle)[:, 0] - middle
 
 
 def _matched(scan: Scan, dynamic_range_db: float, progress: Progress | None) -> _Sweep:
@@ -225,10 +262,7 @@ def _tracked_length(sweep: _Sweep, image_to_reference: torch.Tensor) -> float:
 
     Not the length of its path, which tracker noise makes longer.
     """
-    x, y = sweep.grid.middle_mm
-    middle = torch.tensor([[x, y, 0.0]], dtype=torch.float64)
-    next_to_this = invert_pose(image_to_reference[:-1]) @ image_to_reference[1:]
-    return abs(float(transform_points(next_to_this, middle)[:, 0, 2].sum()))
+    return abs(float(_moved(image_to_reference, sweep.grid.middle_mm)[:, 2].sum()))
 
 
 def _tracked_distances(

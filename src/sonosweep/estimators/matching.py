@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sonosweep.errors import ScanError
 from sonosweep.estimators.coherence import LAG_PX, fineness
@@ -21,7 +22,7 @@ from sonosweep.estimators.registration import (
     moments,
     refine,
 )
-from sonosweep.estimators.texture import TextureFilter, full_scale
+from sonosweep.estimators.texture import TextureFilter, gray_scale
 from sonosweep.scan import FrameView, Scan
 
 NARROWEST_PX = 24
@@ -42,6 +43,9 @@ CLEAR = 0.5
 INTERPOLATION_PX = 0.05
 """Error of the place of a correlation summit between pixels, speckle two pixels wide."""
 
+MOST_EMPTY = 0.5
+"""Part of a patch that may show no echo; the rest holds too few speckles of a darker one."""
+
 SAMPLED_FRAMES = 8
 """Frames from which the usual fineness of a scan is taken."""
 
@@ -52,8 +56,8 @@ class PairMatch:
 
     Attributes:
         in_plane: Lateral, axial (mm) and roll (rad) about the middle of the patches.
-        correlation: Of each patch, where it is in the other frame; NaN if it has no texture
-            or has left the image.
+        correlation: Of each patch, where it is in the other frame; NaN if it has no texture,
+            is mostly black, or has left the image.
         speckles: How many independent speckles a patch holds.
         fineness_per_mm2: How fast each patch decorrelates laterally.
     """
@@ -91,6 +95,7 @@ class _Level:
 
     texture: np.ndarray
     moments: tuple[np.ndarray, np.ndarray]
+    is_empty: np.ndarray  # of each patch
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +122,8 @@ class PairMatcher:
         self._name = scan.name
         self._frames = FrameView(scan.frames, rectangle_px=grid.rectangle_px, gray=True)
         window = (max(NARROWEST_PX, grid.side_px // 2),) * 2
-        self._filter = TextureFilter(grid.mask, dynamic_range_db / full_scale(self._frames), window)
+        scale = gray_scale(self._frames)
+        self._filter = TextureFilter(grid.mask, scale, dynamic_range_db, window)
         self._ready: OrderedDict[int, _Textured] = OrderedDict()
         self._kept = kept
         self._pixel_mm = np.array(grid.spacing_mm[::-1])
@@ -204,7 +210,7 @@ class PairMatcher:
     def _correlate(
         self, one: _Level, other: _Level, base: np.ndarray, radius: int, shrink: int = 1
     ) -> np.ndarray:
-        return correlate(
+        surfaces = correlate(
             one.texture,
             one.moments,
             other.texture,
@@ -214,6 +220,8 @@ class PairMatcher:
             base,
             radius,
         )
+        surfaces[one.is_empty | other.is_empty] = np.nan
+        return surfaces
 
     def _textured(self, index: int) -> _Textured:
         if index not in self._ready:
@@ -223,7 +231,7 @@ class PairMatcher:
                     f"frame {index} of '{self._name}' holds pixels that are not numbers"
                 )
             texture = self._filter(gray)
-            fine = _Level(texture, moments(texture))
+            fine = _Level(texture, moments(texture), self._is_empty(texture))
             self._ready[index] = _Textured(fine, self._shrunk(fine))
             if len(self._ready) > self._kept:
                 self._ready.popitem(last=False)
@@ -237,7 +245,13 @@ class PairMatcher:
         rows, columns = (length // side for length in fine.texture.shape)
         squares = fine.texture[: rows * side, : columns * side].reshape(rows, side, columns, side)
         small = np.ascontiguousarray(squares.mean(axis=(1, 3)))
-        return _Level(small, moments(small))
+        return _Level(small, moments(small), fine.is_empty)
+
+    def _is_empty(self, texture: np.ndarray) -> np.ndarray:
+        """Say of each patch whether most of it shows no echo."""
+        side, corners = self._grid.side_px, self._grid.corners_px
+        patches = sliding_window_view(texture == 0, (side, side))
+        return patches[corners[:, 0], corners[:, 1]].mean(axis=(1, 2)) > MOST_EMPTY
 
 
 def matched_pairs(

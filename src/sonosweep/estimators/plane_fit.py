@@ -105,11 +105,11 @@ def fit_out_of_plane(
         correlation: Of each patch with its like in the other frame; NaN if not known.
         speckles: How many independent speckles a patch holds.
         curve: What tells distance from correlation.
-        width_mm: Width of the curve that holds for each patch.
+        width_mm: Width of the curve that holds for each patch; NaN if not known.
         from_middle_mm: Center of each patch from the middle of the image.
         redundancy: How many times over overlapping patches use each pixel.
     """
-    usable = np.isfinite(correlation)
+    usable = np.isfinite(correlation) & np.isfinite(width_mm)
     if usable.sum() < LEAST_PATCHES:
         return NOTHING
     x, y = from_middle_mm[usable].T

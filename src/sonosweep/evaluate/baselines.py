@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sonosweep.errors import ScanError
 from sonosweep.estimators import DecorrelationCurve, calibrate, read_curve, write_curve
+from sonosweep.estimators.calibrate import LEAST_OUT_OF_PLANE, out_of_plane_share
 from sonosweep.estimators.network_input import center_mm, center_poses
 from sonosweep.evaluate.methods import (
     Decorrelation,
@@ -71,6 +72,11 @@ def decorrelation_baselines(
     """
     direction = -1 if float(mean_motion(teaching)[ELEVATIONAL]) < 0 else 1
     chosen = longest_of_subjects(teaching)[:CALIBRATION_SCANS]
+    if not chosen:
+        raise ScanError(
+            "no scan to learn from moves out of its plane, so decorrelation learns nothing: take"
+            " --baselines quick"
+        )
     lessons = []
     for done, path in enumerate(chosen):
         lessons.append((_stretch(path, folder), _curve(path, folder)))
@@ -169,14 +175,27 @@ def _geometric_mean(values: Sequence[Sequence[float]]) -> tuple[float, ...]:
 
 
 def longest_of_subjects(teaching: Sequence[Path]) -> list[Path]:
-    """Return the longest scan of each subject, longest first, otherwise in their order."""
+    """Return the longest scan of each subject, longest first, otherwise in their order.
+
+    Scans whose probe moves in its plane are left out: they teach nothing about what is out of it.
+    """
     found: dict[str, tuple[int, Path]] = {}
     for path in teaching:
         scan = _allowed(open_scan(path))
+        if not _teaches(scan):
+            continue
         who, frames = scan.subject or scan.name, len(scan.frames)
         if who not in found or frames > found[who][0]:
             found[who] = (frames, path)
     return [path for _, path in sorted(found.values(), key=lambda longest: -longest[0])]
+
+
+def _teaches(scan: Scan) -> bool:
+    """Say whether the probe moves out of its plane; what has no poses is refused elsewhere."""
+    if scan.image_to_reference is None or scan.calibration is None:
+        return True
+    share = out_of_plane_share(scan.image_to_reference, np.array(center_mm(scan)))
+    return not share < LEAST_OUT_OF_PLANE
 
 
 def _allowed(scan: Scan) -> Scan:

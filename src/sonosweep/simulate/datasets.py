@@ -10,8 +10,8 @@ dataset3   19 subjects; C, L and S over both forearms, across the arm and along 
            it; convex probe, 36 to 430 frames
 ========== ======================================================================== =========
 
-Data sets 1 and 2 are of a research scanner, as the paper's, data set 3 of clinical ones, unless
-another kind is asked for.
+As the paper's, data sets 1 and 2 are of a research scanner, and data set 3 of one machine with
+speckle reduction of medium strength, unless another kind is asked for.
 
 Subjects of the test part have numbers from 900000 on, so that training can refuse them.
 
@@ -77,7 +77,7 @@ class PlannedScan:
         pixels: Columns and rows of a frame.
         modalities: Companions beside B-mode.
         body: What is scanned.
-        scanner: ``"research"`` or ``"clinical"``.
+        scanner: Kind of it, as :func:`~sonosweep.simulate.draw_sweep` takes it.
         stretch: First frame and number of those of the sweep that are recorded; ``None`` for
             all.
     """
@@ -309,6 +309,7 @@ def _dataset3(size: str, seed: int, parts: Parts) -> list[PlannedScan]:
                     motion=motion,
                     probe="convex",
                     pixels=(640, 480) if size == "full" else (320, 240),
+                    scanner="speckle_reduced",
                 )
             )
     return scans

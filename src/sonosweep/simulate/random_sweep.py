@@ -26,7 +26,8 @@ blood, its noise, its flow  -54 to -46, -90 to -80 dB, 1.5 to 3 power Doppler
 
 These are the settings of ``"clinical"`` scanners. A ``"research"`` scanner, such as the paper's
 Verasonics, shows what it hears: 60 dB on a straight gray map, no persistence, no speckle
-reduction; all else is as above.
+reduction; all else is as above. A ``"speckle_reduced"`` one is the same with speckle reduction
+of medium strength, one preset for all scans, as the machine of the paper's data set 3.
 
 A convex probe has 2.6 to 3.6 MHz, a radius of 40 mm, wider beams and less haze.
 """
@@ -49,7 +50,7 @@ from sonosweep.simulate.seeds import generator
 from sonosweep.simulate.sweep_settings import SweepSettings
 from sonosweep.simulate.tracker import TrackerSettings
 
-ScannerKind = Literal["research", "clinical"]
+ScannerKind = Literal["research", "speckle_reduced", "clinical"]
 
 PROBE_KINDS = ("linear", "convex")
 
@@ -67,6 +68,7 @@ CONVEX_WIDTH_MM, CONVEX_TOP_MM = 640 * 0.22, -5.6
 PERSISTENCE, PERSISTENCE_CHANCE = (1, 3, 5), (0.4, 0.4, 0.2)
 NO_REDUCTION_CHANCE = 0.3
 RESEARCH_RANGE_DB = 60.0
+MEDIUM_REDUCTION = 0.6  # of those that clinical scanners have, the middle
 
 
 def draw_sweep(
@@ -91,7 +93,8 @@ def draw_sweep(
             linear and 640 x 480 of a convex probe.
         modalities: What is recorded beside B-mode.
         tracker: What sees the poses; ``None`` gives the truth.
-        scanner: ``"clinical"`` with a preset of its own, or ``"research"``.
+        scanner: ``"clinical"`` with a preset of its own, ``"research"``, or
+            ``"speckle_reduced"``.
 
     Raises:
         ScanError: If there is no such subject, probe, scanner or modality.
@@ -99,18 +102,22 @@ def draw_sweep(
     if probe not in PROBE_KINDS:
         raise ScanError(f"a probe is 'linear' or 'convex', got '{probe}'")
     if scanner not in get_args(ScannerKind):
-        raise ScanError(f"a scanner is 'research' or 'clinical', got '{scanner}'")
+        raise ScanError(
+            f"a scanner is 'research', 'speckle_reduced' or 'clinical', got '{scanner}'"
+        )
     draw = generator(subject, scan, "settings")
     beam = _draw_beam(draw, probe)
     body_motion = _draw_body_motion(draw)
     drawn = _draw_scanner(draw, beam, probe)
+    if scanner != "clinical":
+        drawn = _without_preset(drawn, 0.0 if scanner == "research" else MEDIUM_REDUCTION)
     return SweepSettings(
         subject=subject,
         scan=scan,
         motion=motion or MotionSettings(),
         body_motion=body_motion,
         beam=beam,
-        scanner=_without_preset(drawn) if scanner == "research" else drawn,
+        scanner=drawn,
         grid=_grid(probe, pixels),
         sector=CONVEX_SECTOR if probe == "convex" else None,
         modalities=modalities,
@@ -167,15 +174,15 @@ def _draw_scanner(draw: np.random.Generator, beam: Beam, probe: str) -> Scanner:
     )
 
 
-def _without_preset(scanner: Scanner) -> Scanner:
-    """Return a scanner that shows what it hears."""
+def _without_preset(scanner: Scanner, speckle_reduction: float) -> Scanner:
+    """Return a scanner that shows what it hears, but for speckle."""
     return replace(
         scanner,
         dynamic_range_db=RESEARCH_RANGE_DB,
         gray_gamma=1.0,
         gray_contrast=0.0,
         persistence_frames=1,
-        speckle_reduction=0.0,
+        speckle_reduction=speckle_reduction,
     )
 
 

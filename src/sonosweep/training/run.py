@@ -99,14 +99,15 @@ def train(
         TrainingError: If the loss is not a number, or memory is short.
     """
     place = Path(folder)
-    checkpoint = _checkpoint(recipe, place) if resume else None
+    going_on = resume and (place / RECIPE).exists()
+    checkpoint = _checkpoint(recipe, place) if going_on else None
     with _memory_is_short(recipe):
         pool, validation = open_data(recipe.data, recipe.input, preparing)
     check_lengths(pool, validation, recipe.stages)
     statistics = motion_statistics(pool, recipe.scale)
     torch.manual_seed(recipe.seed)
     module = MotionModule(_network(recipe, build), recipe, statistics)
-    if not (resume and (place / RECIPE).exists()):
+    if not going_on:
         _begin(recipe, place)
     watch = RunWatch(place, recipe, validation, progress)
     with _memory_is_short(recipe), _quiet():
@@ -135,8 +136,6 @@ def train(
 
 def _checkpoint(recipe: Recipe, folder: Path) -> Path | None:
     """Return the checkpoint to go on from, if the run in the folder came to one."""
-    if not (folder / RECIPE).exists():
-        return None
     text, before = recipe_text(recipe), (folder / RECIPE).read_text(encoding="utf-8")
     if before != text:
         theirs = (a for a, b in zip(text.splitlines(), before.splitlines(), strict=False) if a != b)
