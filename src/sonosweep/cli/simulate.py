@@ -12,6 +12,8 @@ from sonosweep.cli.whole_number import WHOLE
 SWEEP = Group("A single sweep", sort_key=2)
 DATASET = Group("A data set", sort_key=2)
 
+ScannerChoice = Literal["research", "speckle_reduced", "clinical"]
+
 
 @Parameter(name="*", group=SWEEP)
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Recording(NamedTuple):
 
     seed: int
     tracker: str
-    scanner: Literal["research", "speckle_reduced", "clinical"] | None
+    scanner: ScannerChoice | None
     modalities: tuple[str, ...]
 
 
@@ -90,7 +92,7 @@ def simulate(
     output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)],
     seed: Annotated[int, WHOLE] = 0,
     tracker: Literal["none", "electromagnetic", "optical"] = "none",
-    scanner: Literal["research", "speckle_reduced", "clinical"] | None = None,
+    scanner: ScannerChoice | None = None,
     modalities: Annotated[
         tuple[Literal["power_doppler", "photoacoustic", "iq", "amplitude"], ...],
         Parameter(negative="", consume_multiple=True, show_default=False),
@@ -109,8 +111,8 @@ def simulate(
         seed: Another number gives another sweep of the subject, or other subjects.
         tracker: Whose poses are written: the exact ones, or those that a tracker reports.
         scanner: A clinical one has a preset of its own in every scan (gray map, persistence,
-            speckle reduction), a research one shows what it hears, or all but the speckle; that
-            of the data set, or clinical.
+            speckle reduction), a research one shows what it hears, a speckle_reduced one the
+            same with smoothed speckle; that of the data set, or clinical.
         modalities: What is recorded beside B-mode, and beside what the data set has.
     """
     from sonosweep.cli.output import say
